@@ -239,7 +239,7 @@ class Samples:
     def ring(self, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None) -> np.ndarray:
         """Irradiance per radian of azimuth above ``slopes``: (azimuths, nodes).
 
-        Of brightness 1, or by ``table`` (azimuths, knots, >= 2).
+        Of brightness 1, or by ``table`` (azimuths, knots, 4), see :meth:`Integrals.table`.
         """
         return ring(self.gx, self.gy, azimuths, slopes, table)
 
@@ -451,10 +451,12 @@ def ring(
     if table is None:
         light = along * (np.pi / 2 - np.arctan(slopes) - slopes * secant) / 2 + up * secant / 2
         return light
-    at = np.maximum(slopes, 0) / (1 + np.maximum(slopes, 0)) * (table.shape[1] - 1)
+    least = np.maximum(slopes, 0)
+    at = least / (1 + least) * (table.shape[1] - 1)
     low = np.minimum(at.astype(int), table.shape[1] - 2)
-    part, row = at - low, np.arange(len(table))[:, None]
-    values = [(1 - part) * table[row, low, k] + part * table[row, low + 1, k] for k in (0, 1)]
+    row = table.shape[1] * np.arange(len(table))[:, None]
+    knots = table.reshape(-1, 4).take(row + low, axis=0)  # both integrals, and their steps
+    values = [knots[..., k] + (at - low) * knots[..., k + 2] for k in (0, 1)]
     light = along * values[0] + up * values[1]
     return light
 

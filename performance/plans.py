@@ -291,7 +291,7 @@ def tried(scene, source, samples, exact, backend, longest) -> list:
                 "lattice": {"method": "lattice", "hemicube": units, "filled": True},
             }.get(kind, {"method": "horizon", "azimuths": units})
             work = lambda options=options: sl.render(
-                scene, source, quantity="irradiance", backend=backend, **options
+                replace(scene), source, quantity="irradiance", backend=backend, **options
             )
             rms, tail = relative_errors(samples, work().image, exact)
             error = max(rms, tail / DEFAULT_TAIL)

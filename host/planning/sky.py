@@ -104,9 +104,15 @@ class SkyPlanner(UnitsPlanner):
         samples, width = self.samples, 2 * np.pi / units
         if units <= self.exact_count:
             return
-        self.exact_count, self.exact_angles = units, width * np.arange(units)
-        self.exact_slopes = samples.horizons(self.exact_angles)
-        self.exact_uniform = samples.uniform(self.exact_angles)
+        angles, at = width * np.arange(units), self.exact_count * np.arange(units)
+        new = (at % units > 0) | (self.exact_count == 0)  # the others were traced before
+        slopes, uniform = np.empty((2, units, len(samples)))
+        slopes[new], uniform[new] = samples.horizons(angles[new]), samples.uniform(angles[new])
+        if self.exact_count:
+            known = at[~new] // units
+            slopes[~new], uniform[~new] = self.exact_slopes[known], self.exact_uniform[known]
+        self.exact_count, self.exact_angles = units, angles
+        self.exact_slopes, self.exact_uniform = slopes, uniform
         self.uniform = self.exact_uniform.sum(0) * width
         self.exact_smooth = np.stack([self._light_in(np.arange(odd, units, 2), width) for odd in (0, 1)])
         self._add_bright_parts()
@@ -126,15 +132,15 @@ class SkyPlanner(UnitsPlanner):
     def _bright_light(self, sectors: int) -> np.ndarray:
         """Light of small bright parts at the samples by so many sectors of each, (2, nodes): two halves."""
         if sectors not in self.by_sectors:
+            parts = list(zip(self.bright_parts, self.multiples))
             halves = [
-                [
-                    self.samples.sectors(*spot.sectors(times * sectors, shifted))
-                    for spot, times in zip(self.bright_parts, self.multiples)
-                ]
-                for shifted in (False, True)
+                [spot.sectors(times * sectors, shifted) for spot, times in parts] for shifted in (False, True)
             ]
-            self.by_sectors[sectors] = np.array(
-                [sum(lights, np.zeros(len(self.samples))) for lights in halves]
+            self.by_sectors[sectors] = np.stack(
+                [
+                    self.samples.sectors(np.concatenate(ways, 1), np.concatenate(tables))
+                    for ways, tables in (zip(*half) for half in halves)
+                ]
             )
         return self.by_sectors[sectors]
 
