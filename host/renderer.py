@@ -176,15 +176,18 @@ class Renderer:
         if self.options.brdf(self.scene):
             return [], self._brdf()
         irradiances = self._irradiances() if self.options.needs_irradiance(self.scene) else []
-        if not self.plans:
+        if not self.plans and self.planned:
+            ways = "slices until within the tolerance" if self.lobe else "one ray a node"
+            self.plans.append(Plan("horizon", None, None, f"no matte share of light; reflected by {ways}"))
+        elif not self.plans:
             self._plan_as_asked()
         if self.sun is not None and not self.planned:
             self.plans[0] = replace(self.plans[0], reason=f"{self.plans[0].reason}; the sun's disc by itself")
         if self.lobe:
             lobe_of = self._sky_lobe if isinstance(self.source, sources.Sky) else self._solid_lobe
-            if self.planned and callable(self.greys[0].brightness):
-                return irradiances, [_refined_lobe(self, grey, lobe_of, irradiances) for grey in self.greys]
-            return irradiances, per_colour(self.greys, lobe_of)
+            if not self.planned:
+                return irradiances, per_colour(self.greys, lobe_of)
+            return irradiances, _refined_lobes(self, lobe_of, irradiances)
         return irradiances, self._mirrored(self.options.max_distance)
 
     def _irradiances(self) -> list[Irradiance]:
@@ -593,31 +596,49 @@ def _sun_of(scene: Scene, source: sources.Source, max_distance: float | None) ->
 # -- lobes
 
 
+def _refined_lobes(
+    call: Renderer, lobe_of: Callable[[sources.Source, float], np.ndarray], irradiances: list[Irradiance]
+) -> list[np.ndarray]:
+    """A source in a lobe: (rows, cols) float32 of every colour, each by as many slices as it takes."""
+    scene, factors = call.scene, numbers_of(call.greys)
+    assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
+    of_map = np.ones(scene.shape, bool) if scene.mask is None else scene.mask
+    matte = np.array([np.asarray(light)[of_map].mean() / np.pi for light in irradiances] or [0.0])
+    matte, specular = np.broadcast_arrays(
+        matte * _by_colour(scene.albedo, np.mean), _by_colour(scene.reflectance.specular, np.max)
+    )
+    if factors is not None or len(call.greys) == 1:  # one image in all colours
+        bright = specular * np.array(factors or [1.0])
+        return per_colour(call.greys, lambda grey: _refined_lobe(call, grey, lobe_of, matte, bright))
+    colours = zip(call.greys, *np.broadcast_arrays(matte[:, None], specular[:, None], np.ones((3, 1)))[:2])
+    return [_refined_lobe(call, grey, lobe_of, *shares) for grey, *shares in colours]
+
+
 def _refined_lobe(
     call: Renderer,
     grey: sources.Source,
     lobe_of: Callable[[sources.Source, float], np.ndarray],
-    irradiances: list[Irradiance],
+    matte: np.ndarray,
+    specular: np.ndarray,
 ) -> np.ndarray:
-    """A source of uneven brightness in a lobe: (rows, cols) float32, by as many slices as it takes.
+    """A grey source in a lobe: (rows, cols) float32, by as many slices as the worst colour takes.
 
-    Each slice meets an edge of brightness or misses it, so errors are as one over the number of slices, and
-    those of two numbers that share none are independent: the finer image's is the RMS difference over
-    sqrt(1 + r^2) for r times as many slices.
+    Of the colours in which it is shown: ``matte``, the mean of the other light, and ``specular``, a factor.
+
+    Each slice meets an edge, of brightness or of the ground, or misses it, so errors are as one over the
+    number of slices, and those of two numbers that share none are independent: the finer image's is the RMS
+    difference over sqrt(1 + r^2) for r times as many slices.
     """
     scene, tolerance = call.scene, float(call.options.tolerance)
     of_map = np.ones(scene.shape, bool) if scene.mask is None else scene.mask
-    diffuse = np.mean([np.asarray(light)[of_map].mean() for light in irradiances] or 0) * np.mean(
-        scene.albedo
-    )
     before, off, said = LOBE_FINENESS[0], math.inf, len(call.warnings)
     image = lobe_of(grey, before)
     for fineness in LOBE_FINENESS[1:]:
         del call.warnings[said:]  # of slices that finer ones take the place of
         coarse, image = image, lobe_of(grey, fineness)
-        mean = diffuse / np.pi + _most_specular(scene) * float(image[of_map].mean())
+        mean = np.maximum(matte + specular * float(image[of_map].mean()), 1e-300)
         rms = math.sqrt(float(np.mean((image - coarse)[of_map] ** 2))) / math.hypot(1, fineness / before)
-        off = float(_most_specular(scene) * rms / mean) if rms else 0.0
+        off = float(np.max(specular * rms / mean))
         if off <= tolerance:
             return image
         before = fineness
@@ -626,6 +647,12 @@ def _refined_lobe(
         f" than the {100 * tolerance:.3g} % asked for."
     )
     return image
+
+
+def _by_colour(values: float | np.ndarray, of: Callable[..., Any]) -> np.ndarray:
+    """``of`` a quantity of the surface, of every colour if it is in colour: (1,) or (3,)."""
+    in_colour = is_in_colour(np.asarray(values))
+    return np.atleast_1d(of(np.reshape(values, (-1, 3)), axis=0) if in_colour else of(values))
 
 
 def _norm(scene: Scene) -> float:
