@@ -471,8 +471,9 @@ def far_horizons(
     is a sample every 2^f nodes, f the level from rule 2^f nodes on, bilinear between the centres of its cells
     (on the border that of the border's cells), as far as they have data. Slopes are less by drop x distance.
     They are known at every ``spread``-th node and the last of each axis, as that of the sample that stands
-    highest; nodes between them take all four, each moved to their own height, bilinearly. -inf: no ground so
-    far away; nan: masked. A node without data looks from the lowest height.
+    highest; nodes between them take all four, each moved to their own height, bilinearly, or the nearest of
+    them where one has no ground so far away, -inf, as its ray leaves the map before. nan: masked. A node
+    without data looks from the lowest height.
     """
     rows, cols = height.shape
     levels = list(overviews(height, share))
@@ -530,15 +531,17 @@ def _moved(
             continue
         ends = []
         for at, known in ((y, row), (x, col)):
-            high = min(max(1, int(np.searchsorted(known, at))), len(known) - 1)
-            low = max(0, high - 1)
+            low = int(np.searchsorted(known, at, "right")) - 1
+            high = min(low + 1, len(known) - 1)
             part = (at - known[low]) / max(1, known[high] - known[low])
             ends.append([(low, 1 - part), (high, part)])
-        out[y, x] = 0.0
-        for r, a in ends[0]:
-            for q, b in ends[1]:
-                if a * b > 0:
-                    out[y, x] += a * b * (slope[r, q] + (own[r, q] - h) / distance[r, q])
+        corners = [(r, q, a * b) for r, a in ends[0] for q, b in ends[1]]
+        if any(np.isneginf(slope[r, q]) for r, q, _ in corners):
+            (r, _), (q, _) = (max(pair[::-1], key=lambda end: end[1]) for pair in ends)  # the nearest
+            corners = [(r, q, 1.0)]
+        out[y, x] = sum(
+            part * (slope[r, q] + (own[r, q] - h) / distance[r, q]) for r, q, part in corners if part > 0
+        )
     return out
 
 

@@ -292,7 +292,8 @@ class TileImage:
     @property
     def audit(self) -> Audit:
         """Within which tolerance far ground must be taken."""
-        return Audit(self.backend, self.tolerance, self.fewer)
+        suns = any(len(rays.angles) > self.even for rays, _ in self.lights)
+        return Audit(self.backend, self.tolerance, self.fewer, suns)
 
     def __call__(
         self, scene: Scene, max_distance: float | None, far: Far | None, part: slice = slice(None)

@@ -94,12 +94,13 @@ class Audit(NamedTuple):
     """The check of the error that overviews of far ground add: on which backend, within which tolerance.
 
     ``tolerance``: relative RMS error of the irradiance of each of ``lights``; None: sky-view factors to
-    WORTH_SAYING.
+    WORTH_SAYING. ``suns``: small bright parts are among the lights, whose shadows have edges.
     """
 
     backend: str
     tolerance: float | None = None
     lights: Lights = ()
+    suns: bool = False
 
 
 class Layout(NamedTuple):
@@ -492,7 +493,7 @@ def _far(
     base = np.nanmax(heights)
     levels = around(tiling, (low_begin[0], low_begin[1]), at, tile, low, top, layout.periodic)
     inner = heights[before[0] : before[0] + rows, before[1] : before[1] + cols]
-    spread = spread_of(tiling, inner, spacing)
+    spread = spread_of(tiling, inner, spacing, layout.audit is not None and layout.audit.suns)
     nodes = marched_nodes(spread, layout.shape, at, tile)
     within = np.ix_(*(lines - first + room for lines, first, room in zip(nodes, at, before)))
     own = heights[within]

@@ -135,8 +135,15 @@ __kernel void march(__global const float *cells, __global const int *levels, __g
   }
 }
 
+/* Between two values, linearly; or the nearer one. */
+float between(float low, float high, float part, int linearly)
+{
+  return linearly ? low + part * (high - low) : part < 0.5f ? low : high;
+}
+
 /* interpolate: far horizons at every node of a map in the order of sweeps, from four nodes of `march` around
-it, for the node's own height.
+it, for the node's own height. Where one of them sees no far ground, as its ray leaves the map before, the
+nearest one's.
 
   lines     (2, count, nodes)      float  as march leaves it, nodes every `spread` rows and columns of a tile
   heights  (room)                 float  [spacing]  the padded map, (rows + 2 margin, cols + 2 margin)
@@ -170,18 +177,19 @@ __kernel void interpolate(__global const float *restrict lines, __global const f
               to_right = min(spread, last_along - q * spread);
     const int stop = min(end, min(first + spread, before_along + along));
     __global const float *corner = lines + (size_t)k * nodes + r * stride_across + q * stride_along;
-    const float slope_left = corner[0] + a * (corner[stride_across] - corner[0]);
-    const float slope_right = corner[stride_along] +
-                              a * (corner[stride_along + stride_across] - corner[stride_along]);
+    const int both = stride_along + stride_across;
+    const int whole = min(min(corner[0], corner[stride_along]), min(corner[stride_across], corner[both])) >
+                      HIGHEST_MASKED;
+    const float slope_left = between(corner[0], corner[stride_across], a, whole);
+    const float slope_right = between(corner[stride_along], corner[both], a, whole);
     corner += (size_t)count * nodes;
-    const float inverse_left = corner[0] + a * (corner[stride_across] - corner[0]);
-    const float inverse_right = corner[stride_along] +
-                                a * (corner[stride_along + stride_across] - corner[stride_along]);
+    const float inverse_left = between(corner[0], corner[stride_across], a, whole);
+    const float inverse_right = between(corner[stride_along], corner[both], a, whole);
     const float part = to_right > 0 ? 1.0f / (float)to_right : 0.0f;
     for (; x < stop; ++x) {
       const float b = (float)(x - first) * part;
-      const float slope = slope_left + b * (slope_right - slope_left);
-      const float inverse = inverse_left + b * (inverse_right - inverse_left);
+      const float slope = between(slope_left, slope_right, b, whole);
+      const float inverse = between(inverse_left, inverse_right, b, whole);
       plane[x] = own[x] > HIGHEST_MASKED ? slope - own[x] * inverse : NONE;
     }
   }

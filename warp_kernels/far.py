@@ -119,6 +119,16 @@ def march(
     lines[1, k, p] = inverse
 
 
+@wp.func
+def between(low: wp.float32, high: wp.float32, part: wp.float32, linearly: wp.bool):
+    """Between two values, linearly; or the nearer one."""
+    if linearly:
+        return low + part * (high - low)
+    if part < wp.float32(0.5):
+        return low
+    return high
+
+
 @wp.kernel
 def interpolate(
     lines: wp.array3d[wp.float32],
@@ -141,7 +151,7 @@ def interpolate(
     run: wp.int32,
 ):
     """Far horizons at every node of a map in the order of sweeps, from four nodes of `march` around it, for
-    the node's own height.
+    the node's own height. Where one of them sees no far ground, the nearest one's.
 
     Arguments as in opencl/far.cl. Thread (k, y, i) owns nodes i run .. (i + 1) run - 1 of row y, azimuth k.
     """
@@ -164,18 +174,29 @@ def interpolate(
             to_right = wp.min(spread, last_along - q * spread)
             corner = r * stride_across + q * stride_along
             right = corner + stride_along
-            slope_left = lines[0, k, corner]
-            slope_left += a * (lines[0, k, corner + stride_across] - slope_left)
-            slope_right = lines[0, k, right]
-            slope_right += a * (lines[0, k, right + stride_across] - slope_right)
-            inverse_left = lines[1, k, corner]
-            inverse_left += a * (lines[1, k, corner + stride_across] - inverse_left)
-            inverse_right = lines[1, k, right]
-            inverse_right += a * (lines[1, k, right + stride_across] - inverse_right)
+            below = corner + stride_across
+            other = right + stride_across
+            whole = (
+                wp.min(
+                    wp.min(lines[0, k, corner], lines[0, k, right]),
+                    wp.min(lines[0, k, below], lines[0, k, other]),
+                )
+                > HIGHEST_MASKED
+            )
             part = zero
             if to_right > 0:
                 part = wp.float32(1.0) / wp.float32(to_right)
             b = wp.float32(x - first) * part
-            slope = slope_left + b * (slope_right - slope_left)
-            slope -= own * (inverse_left + b * (inverse_right - inverse_left))
+            slope = between(
+                between(lines[0, k, corner], lines[0, k, below], a, whole),
+                between(lines[0, k, right], lines[0, k, other], a, whole),
+                b,
+                whole,
+            )
+            slope -= own * between(
+                between(lines[1, k, corner], lines[1, k, below], a, whole),
+                between(lines[1, k, right], lines[1, k, other], a, whole),
+                b,
+                whole,
+            )
         planes[k, y * cols + x] = slope

@@ -84,6 +84,11 @@ def march(
         lines[1, k] = inverse
 
 
+def _between(low: np.ndarray, high: np.ndarray, part: np.ndarray, linearly: np.ndarray) -> np.ndarray:
+    """Between two values, linearly; or the nearer one."""
+    return np.where(linearly, low + part * (high - low), np.where(part < HALF, low, high))
+
+
 def interpolate(
     lines: np.ndarray,
     heights: np.ndarray,
@@ -116,11 +121,21 @@ def interpolate(
     b = (u - q * spread).astype(np.float32) * part
     corner = r * stride_across + q * stride_along
     for k, plane in enumerate(planes.reshape(count, rows, cols)):
-        sides = []
-        for line in lines[:, k]:
-            left, right = (
-                line[at] + a * (line[at + stride_across] - line[at]) for at in (corner, corner + stride_along)
+        corners = [
+            corner,
+            corner + stride_across,
+            corner + stride_along,
+            corner + stride_across + stride_along,
+        ]
+        whole = np.minimum.reduce([lines[0, k][at] for at in corners]) > HIGHEST_MASKED
+        slope, inverse = (
+            _between(
+                _between(line[corners[0]], line[corners[1]], a, whole),
+                _between(line[corners[2]], line[corners[3]], a, whole),
+                b,
+                whole,
             )
-            sides.append(left + b * (right - left))
+            for line in lines[:, k]
+        )
         plane[...] = NONE
-        plane[inner] = np.where(own > HIGHEST_MASKED, sides[0] - own * sides[1], NONE)
+        plane[inner] = np.where(own > HIGHEST_MASKED, slope - own * inverse, NONE)
