@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,17 +72,19 @@ def refused(of, path, folder, capsys, more, code, what):
 
 
 def interrupted(told, scratch):
-    """Exit code of a command that gets Ctrl-C once a tile is done."""
-    process, done = subprocess.Popen(told, stderr=subprocess.PIPE, text=True), 0
+    """Exit code of a command that gets Ctrl-C, as its workers do, once a tile is done: it says what stays."""
+    process, done = subprocess.Popen(told, stderr=subprocess.PIPE, text=True, start_new_session=True), 0
     for _ in range(3000):
         time.sleep(0.05)
         if process.poll() is not None or done:
             break
         if (scratch / "done" / "c").exists():
             done = len(os.listdir(scratch / "done" / "c"))
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=100)
+    os.killpg(process.pid, signal.SIGINT)
+    said = [line for line in process.communicate(timeout=100)[1].splitlines() if line.strip()]
     assert done
+    assert said[-1] == f"Interrupted: finished tiles are in {scratch}; --resume continues."
+    assert not any("Traceback" in line for line in said), said
     return process.returncode
 
 
@@ -312,3 +315,36 @@ def test_an_address_that_is_none_is_an_error():
     with pytest.raises(InputError, match="--scheduler garbage: no scheduler answers there"):
         with out_of_core.workers_of(machines):
             pass
+
+
+def test_a_cluster_without_workers_is_an_error(monkeypatch):
+    """It waited for ever, without a word."""
+    monkeypatch.setattr(out_of_core, "WAIT", 1)
+    with distributed.LocalCluster(1, processes=False, dashboard_address=None) as cluster:
+        cluster.scale(0)
+        with distributed.Client(cluster) as client:
+            while client.nthreads():
+                time.sleep(0.01)
+        machines = out_of_core.Machines(None, 1, cluster.scheduler_address, TILE, False, False)
+        with pytest.raises(InputError, match="it has had no workers for 1 s"):
+            with out_of_core.workers_of(machines):
+                pass
+
+
+@pytest.mark.slow
+def test_workers_in_another_folder(dem, tmp_path, monkeypatch):
+    """A relative output is that of the command, not of its workers; where these see no scratch, they say so.
+
+    It was a TypeError.
+    """
+    quantity = out_of_core.horizon("sky-view-factor", "tilted", 8, None, "auto")
+    with distributed.LocalCluster(1, threads_per_worker=2, processes=True, dashboard_address=None) as cluster:
+        machines = out_of_core.Machines(None, 1, cluster.scheduler_address, TILE, False, False)
+        monkeypatch.chdir(tmp_path)
+        out_of_core.write_quantity(dem[0], "out.tif", quantity, machines, None)
+        assert os.listdir(tmp_path) == ["out.tif"]
+        with pytest.raises(InputError, match="one of the two"):
+            out_of_core.write_quantity(dem[0], "o.tif", quantity, machines._replace(workers=3), None)
+        monkeypatch.setattr(Path, "absolute", lambda path: path)
+        with pytest.raises(InputError, match="a worker finds no o.tif.scratch"):
+            out_of_core.write_quantity(dem[0], "o.tif", quantity, machines, None)

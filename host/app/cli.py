@@ -125,7 +125,10 @@ def render(
     if machines.asked:
         to_read = height is False, spacing, nodata, resample, sides != "open"
         others = *to_read, white, bits != 8, exposure, error
-        out_of_core.checked_output("--albedo, --source, --sun, --direct, --quantity", out, others)
+        compatible = (
+            "--albedo, --source, --sun, --direct, --quantity, --method, --tolerance, --interreflection"
+        )
+        out_of_core.checked_output(compatible, out, others)
         words = dict(albedo=albedo, source=source, sun=sun, direct=direct)
         work = out_of_core.image(file, surface, light, backend, words, **options)
         return _by_tiles(file, out, work, machines, as_json)

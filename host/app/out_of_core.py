@@ -11,6 +11,7 @@ import hashlib
 import importlib
 import json
 import shutil
+import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -26,6 +27,7 @@ from ..backends import select
 from ..errors import CapacityError, InputError, bad, lacking
 from ..horizon import as_azimuths, mean_openness, sky_view
 from ..io import geotiff as geo
+from ..io import writable
 from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
@@ -49,6 +51,7 @@ COMPATIBLE = (
 )
 # of the page of Dask, which it makes unasked: of two runs at once, both have one without a warning
 ANY_PORT = "127.0.0.1:0"
+WAIT = 30  # [s] for a scheduler, and for its first worker; chosen: Dask's own default
 BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 SCRATCH_FORM = 3  # number of the scratch group's form: one more with every change of its arrays
 
@@ -180,27 +183,34 @@ def write_quantity(
         raise bad("--out with --memory", repr(out), "a .tif")
     if machines.workers < 1:
         raise bad("--workers", machines.workers, "at least 1")
+    if machines.workers > 1 and machines.scheduler is not None:
+        raise bad("--workers with --scheduler", machines.workers, "one of the two", "A cluster has its own.")
     header = geo.header(file)
-    layout = layout_of_map(
-        Tiling(machines.side),
-        header.values.shape,
-        header.spacing,
-        False,
-        quantity.max_distance,
-        quantity.audit,
-        quantity.between,
-    )
-    scratch = Path(out).with_name(Path(out).name + ".scratch")
+    writable(out)
+    scratch = Path(out).absolute().with_name(Path(out).name + ".scratch")  # workers have another folder
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
-    job = Job(file.resolve(), scratch, layout, quantity, dtype)
     with locked(scratch):
         with workers_of(machines) as client:
+            layout = layout_of_map(
+                Tiling(machines._replace(workers=len(client.nthreads())).side),
+                header.values.shape,
+                header.spacing,
+                False,
+                quantity.max_distance,
+                quantity.audit,
+                quantity.between,
+            )
             names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
-            group = run(job._replace(backend=names), client, machines.resume, progress)
+            job = Job(file.resolve(), scratch, layout, quantity, dtype, names)
+            try:
+                group = run(job, client, machines.resume, progress)
+            except KeyboardInterrupt:
+                typer.echo(f"Interrupted: finished tiles are in {scratch}; --resume continues.", err=True)
+                raise
         write(out, group["values"], header, machines.cog)
-        discard(job.scratch)
+        discard(scratch)
     bands = () if quantity.bands == 1 else (quantity.bands,)
-    return (*bands, *layout.shape), names
+    return (*bands, *header.values.shape), names
 
 
 def _backend_of(name: str) -> str:
@@ -257,7 +267,7 @@ def _decided(job: Job) -> Job:
     """The job once all tiles have decided whether light between surfaces counts."""
     if not job.layout.undecided:
         return job
-    sums = _group(job.scratch, "r")["sums"][:].sum(0)
+    sums = _held(job, "r")["sums"][:].sum(0)
     work, layout = decided_by_sums(job.quantity.work, job.layout, sums)
     return job._replace(layout=layout, quantity=job.quantity._replace(work=work))
 
@@ -306,7 +316,7 @@ def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
 
 def _reduce(job: Job, number: int) -> None:
     """Overviews of a tile at the first level that is looked at, and whether it has light between surfaces."""
-    group, box = _group(job.scratch, "r+"), list(job.layout.boxes())[number]
+    group, box = _held(job), list(job.layout.boxes())[number]
     first, window = job.layout.tiling.first, _window(job, box, [0, 0])
     if job.layout.undecided:
         work = job.quantity.work
@@ -319,7 +329,7 @@ def _reduce(job: Job, number: int) -> None:
 
 def _compute(job: Job, number: int, top: Top | None) -> None:
     """The quantity itself."""
-    group, layout = _group(job.scratch, "r+"), job.layout
+    group, layout = _held(job), job.layout
     box = list(layout.boxes())[number]
     low = None if top is None else around_tile(group["low"], layout, box)
     window, quantity = _window(job, box, layout.depths), job.quantity
@@ -333,7 +343,7 @@ def _compute(job: Job, number: int, top: Top | None) -> None:
 
 def _top(job: Job) -> Top:
     """The levels that all tiles use, from the overviews of all tiles."""
-    tiling, low = job.layout.tiling, _group(job.scratch, "r")["low"]
+    tiling, low = job.layout.tiling, _held(job, "r")["low"]
     times = tiling.top - tiling.first
     rows = tiling.tile >> tiling.first
     return top_of(
@@ -399,9 +409,13 @@ def locked(scratch: Path) -> Iterator[None]:
     lock = filelock.FileLock(scratch.with_name(scratch.name + ".lock"))
     try:
         lock.acquire(blocking=False)
-    except filelock.Timeout:
-        allowed = "one run at a time"
-        raise bad(f"--out: {scratch}", "a scratch that another run writes", allowed, "Wait for it.") from None
+    except (filelock.Timeout, OSError) as error:
+        if not Path(lock.lock_file).exists():
+            what, got, allowed, advice = scratch.parent, f"no new file there ({error})", "one to write in", ""
+        else:
+            what, got, allowed = scratch, "a scratch that another run writes", "one run at a time"
+            advice = "Wait for it."
+        raise bad(f"--out: {what}", got, allowed, advice) from None
     try:
         yield
     finally:
@@ -442,6 +456,17 @@ def _group(path: Path, mode: str) -> Any:
         return None
 
 
+def _held(job: Job, mode: str = "r+") -> Any:
+    """The scratch group in a task; InputError where the worker does not see it."""
+    group = _group(job.scratch, mode)
+    if group is None:
+        raise InputError(
+            f"--scheduler: a worker finds no {job.scratch}, where tiles are kept. Workers need the same files"
+            " under the same names."
+        )
+    return group
+
+
 # -- workers and the file that is written
 
 
@@ -463,18 +488,23 @@ def workers_of(machines: Machines) -> Iterator[Any]:
             )
             at = stack.enter_context(cluster)
         try:
-            client = stack.enter_context(distributed.Client(at, timeout=30))
+            client = stack.enter_context(distributed.Client(at, timeout=WAIT))
         except (OSError, ValueError) as error:
             raise InputError(f"--scheduler {at}: no scheduler answers there ({error}).") from error
+        try:
+            client.wait_for_workers(1, timeout=WAIT)
+        except TimeoutError:
+            raise InputError(f"--scheduler {at}: it has had no workers for {WAIT} s.") from None
         client.register_plugin(devices())
         if machines.scheduler is None:
-            client.run(_print_no_warnings)
+            client.run(_be_silent)
         yield client
 
 
-def _print_no_warnings() -> None:
-    """In a worker: the client gives its warnings, once each."""
+def _be_silent() -> None:
+    """In a worker: the client gives its warnings, once each, and ends it when it is interrupted itself."""
     warnings.formatwarning = lambda *_, **__: ""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
