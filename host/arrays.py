@@ -224,8 +224,8 @@ def spacing_of(labels: Labels | None) -> float:
     """The distance of neighbouring nodes by the coordinates of an xarray.DataArray; 1 where there are none.
 
     In the unit of height, where units of both are known; a warning where one is told and not known, and
-    where that of the heights is not told and that of the coordinates is not the metre. InputError for
-    coordinates that are uneven, not square, or degrees.
+    where only one is told and is not the metre. InputError for coordinates that are uneven, not square, or
+    degrees.
     """
     if labels is None:
         return 1.0
@@ -238,14 +238,14 @@ def spacing_of(labels: Labels | None) -> float:
             continue
         unit = str(coordinate.attrs.get("units", "")).lower() or system[0]
         names = {str(name).lower(), str(coordinate.attrs.get("standard_name", "")).lower()}
-        if ANGLE.search(f"{unit} {system[0]}") or names & set(ANGLES):
+        here, high = metres_in(unit), metres_in(vertical)
+        if ANGLE.search(f"{unit} {system[0]}") or not here and names & set(ANGLES):
             raise bad(
                 f"spacing by the coordinate {name!r}",
                 "degrees",
                 "lengths in the unit of height",
                 "Reproject the map to a system in metres (dem.rio.reproject).",
             )
-        here, high = metres_in(unit), metres_in(vertical)
         if unknown := _unknown(unit, here, vertical, high) if not steps else "":
             warnings.warn(
                 f"Unit of height: {unknown}; heights are taken as in the unit of the coordinates. Give both"
@@ -286,7 +286,9 @@ def _unknown(unit: str, here: float | None, vertical: str, high: float | None) -
     ]
     if unheard:
         return ", ".join(unheard)
-    return f"none is told, and coordinates are in {unit}" if not vertical and here != 1.0 else ""
+    if not vertical:
+        return f"none is told, and coordinates are in {unit}" if here != 1.0 else ""
+    return f"it is {vertical}, and coordinates tell none" if not unit and high != 1.0 else ""
 
 
 def _units_of_system(labels: Labels) -> tuple[str, str]:
@@ -381,7 +383,7 @@ def _is_curved(labels: Labels, name: Hashable) -> bool:
 def _grows(labels: Labels, name: Hashable) -> float:
     """Last coordinate less the first, 0 where there are none."""
     coordinate = _positions(labels, name)
-    if coordinate is None:
+    if coordinate is None or not coordinate.size:
         return 0.0
     first, last = coordinate.values[[0, -1]].tolist()
     return float(last - first)

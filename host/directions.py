@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from .checks import whole_number
+from .checks import real_array, whole_number
 from .errors import bad
 from .radiometry import polygon_moment, rectangle_solid_angle
 
@@ -120,11 +121,12 @@ class Azimuths:
 
     def __post_init__(self) -> None:
         count = whole_number(self.count, "azimuths", 1, MOST_AZIMUTHS)
-        edges = np.linspace(0, 2 * np.pi, count + 1) if self.edges is None else np.asarray(self.edges, float)
-        increase = edges.shape == (count + 1,) and bool((np.diff(edges) > 0).all())
+        turn = np.linspace(0, 2 * np.pi, count + 1)
+        edges = turn if self.edges is None else real_array(self.edges, "azimuths: edges", None)
+        increase = edges.shape == turn.shape and bool((np.diff(edges) > 0).all())
         if not increase or abs(edges[-1] - edges[0] - 2 * np.pi) > 1e-9:
-            allowed = f"{count + 1} increasing angles that span 2 pi"
-            raise bad("azimuths: edges", f"shape {edges.shape}", allowed)
+            got = reprlib.repr(edges.tolist()) if edges.shape == turn.shape else f"shape {edges.shape}"
+            raise bad("azimuths: edges", got, f"{count + 1} increasing angles that span 2 pi")
         object.__setattr__(self, "count", count)
         object.__setattr__(self, "edges", tuple(edges.tolist()))
 

@@ -53,7 +53,7 @@ def horizons(
     negative; they are -inf where no ground lies that way, and nan where the scene is masked. The surface is
     linear between neighbouring nodes along rows and along columns. ``max_distance`` [unit of spacing]: ground
     farther away does not count; the whole map does unless given (on a map that repeats, as far as its relief
-    makes a slope of 0.01). With dark sides the wall counts as ground.
+    makes a slope of 0.01). With dark sides the wall counts as ground, at any distance.
 
     Within 12 rows (12 columns for azimuths nearer to a row), and so with a ``max_distance`` of 12 spacings,
     every crossing with a row or a column is met: slopes are exact but for rounding. Farther away the sweep

@@ -67,7 +67,8 @@ def render(
         Of horizons, in place of a tolerance: no error is estimated. Under a sky whose brightness is very
         uneven in azimuth, such as one with a sun, a number is placed half evenly, half by brightness.
     max_distance : float [unit of spacing]
-        Of horizons under a sky: ground farther away does not count; the whole map does unless given.
+        Of horizons under a sky: ground farther away does not count; the whole map does unless given. Walls
+        of a dark box count at any distance.
     interreflection : "auto", True or False
         Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method it is
         included if it is more than a third of the tolerance (in tiles, by windows of all), which then holds

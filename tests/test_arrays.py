@@ -227,6 +227,13 @@ def test_a_dataarray_brings_spacing_and_holes(labelled, fast):
         sl.Scene.from_height(labelled.values)
 
 
+def test_an_empty_dataarray_is_one_error(labelled):
+    """As a selection is that takes rows the wrong way round; it was an IndexError."""
+    for given in (labelled, labelled.chunk()):
+        with pytest.raises(sl.InputError, match=r"shape \(0, "):
+            sl.sky_view_factor(given.isel(y=slice(0, 0)))
+
+
 def test_labels_are_a_copy(labelled, fast):
     """Changing the DataArray afterwards changes no result."""
     scene, before = sl.Scene(labelled), labelled.copy(deep=True)

@@ -250,7 +250,12 @@ def test_auto_takes_horizons_where_it_can_and_says_so(fast):
         (lambda s: sl.horizons(s, max_distance=-1), "> 0"),
         (lambda s: sl.sky_view_factor(s, "tilt"), "tilted | horizontal | solid_angle"),
         (lambda s: sl.openness(s, negative=1), "True or False"),
-        (lambda s: sl.Azimuths(2, (0, 1, 2)), "span 2 pi"),
+        (
+            lambda s: sl.Azimuths(2, (0, 1, 2)),
+            "got .0.0, 1.0, 2.0.; allowed: 3 increasing angles that span 2 pi",
+        ),
+        (lambda s: sl.Azimuths(2, (0, 7)), "shape .2,.; allowed: 3 increasing"),
+        (lambda s: sl.Azimuths(2, "abc"), "real numbers"),
         (lambda s: sl.horizons(np.zeros((3, 3))), "skylamp.Scene"),
     ],
 )

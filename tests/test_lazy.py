@@ -320,6 +320,19 @@ def test_units_of_a_reference_system(system, units, expected, said):
     assert spacing_and_warnings(given) == (pytest.approx(expected, rel=1e-9), said)
 
 
+@pytest.mark.parametrize("height, said", [(None, 0), ("m", 0), ("ft", 1), ("km", 1)])
+def test_a_unit_of_heights_alone_is_not_dropped_in_silence(height, said):
+    """It is taken as that of coordinates that tell none: the share of sky .36 off if these are metres."""
+    assert spacing_and_warnings(dem(**({"units": height} if height else {}))) == (30.0, said)
+
+
+def test_a_known_unit_counts_more_than_a_name():
+    """Dimensions called lat and lon, in metres: they were refused as degrees."""
+    given = dem().rename(y="lat", x="lon")
+    given = given.assign_coords({name: given[name].assign_attrs(units="m") for name in ("lat", "lon")})
+    assert spacing_and_warnings(given) == (30.0, 0)
+
+
 def test_degrees_of_a_compound_system():
     """With heights."""
     pytest.importorskip("rioxarray")
@@ -345,7 +358,7 @@ def test_units_of_coordinates_and_heights(lazy):
         given = given.chunk(40) if lazy else given
         assert spacing_and_warnings(given) == (
             pytest.approx(expected, rel=1e-12),
-            int(along == "km" and not height),
+            int(not (along and height)),
         )
     for attrs in (
         *({"units": u} for u in ("rad", "degree_N", "degreesE", "deg", "arcsec", "arc_second", "°")),

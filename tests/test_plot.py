@@ -130,6 +130,7 @@ def test_panels(fast):
         (lambda f, s: plot.horizon(s, 3, 3, f.source), "got Lamp; allowed: a Sky"),
         (lambda f, s: plot.save(None, "a.jpg"), ".png .svg .pdf"),
         (lambda f, s: plot.save(None, "no/a.png"), "no folder no"),
+        (lambda f, s: plot.save(None, "a.png", dpi=0), "dpi: got 0"),
     ],
 )
 def test_errors(valley, work, says, tmp_path, monkeypatch):

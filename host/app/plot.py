@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import oracle, sources
-from ..checks import whole_number
+from ..checks import positive_number, whole_number
 from ..errors import bad, lacking
 from ..horizon import horizons
 from ..inverse.recover import Recovery
@@ -339,12 +339,12 @@ def _round_length(most: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= most))
 
 
-def save(figure: Figure, path: StrPath, dpi: int = 120) -> Path:
+def save(figure: Figure, path: StrPath, dpi: float = 120) -> Path:
     """Write a figure as .png, .svg or .pdf, whole or not at all.
 
-    Raises InputError for another extension or no such folder.
+    Raises InputError for another extension, no such folder, or a ``dpi`` that is no positive number.
     """
-    path = drawable(path)
+    path, dpi = drawable(path), positive_number(dpi, "dpi")
     suffix = path.suffix.lower()
     options: dict[str, Any] = {"pil_kwargs": {"optimize": True}} if suffix == ".png" else {}
     with replacing(path) as file:
