@@ -610,8 +610,8 @@ def _refined_lobes(
     if factors is not None or len(call.greys) == 1:  # one image in all colours
         bright = specular * np.array(factors or [1.0])
         return per_colour(call.greys, lambda grey: _refined_lobe(call, grey, lobe_of, matte, bright))
-    colours = zip(call.greys, *np.broadcast_arrays(matte[:, None], specular[:, None], np.ones((3, 1)))[:2])
-    return [_refined_lobe(call, grey, lobe_of, *shares) for grey, *shares in colours]
+    shares = (np.broadcast_to(part, 3)[:, None] for part in (matte, specular))
+    return [_refined_lobe(call, grey, lobe_of, *parts) for grey, *parts in zip(call.greys, *shares)]
 
 
 def _refined_lobe(
