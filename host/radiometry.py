@@ -1,6 +1,6 @@
 """Radiometry: the quantities of light, and closed forms of its transfer between patches.
 
-Equations without a number are those of the notes on radiometry. Lengths may be in any one unit; radiance L is
+Equations follow the textbook definitions of radiometry. Lengths may be in any one unit; radiance L is
 in W m^-2 sr^-1, or cd m^-2 where light is weighted by the eye.
 """
 

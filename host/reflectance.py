@@ -57,7 +57,7 @@ class Phong:
         Diffuse and specular albedo, each >= 0, their sum at most 1: then it is bounded, since the lobe is
         normalised for light along the normal and gives less from elsewhere. It is reciprocal.
     exponent : float, 0 to 1e5
-        n: the larger, the narrower the lobe, of half width about sqrt(2 / n) rad.
+        n: the larger, the narrower the lobe. cos^n falls to 1 / sqrt(e) 1 / sqrt(n + 1) rad from its middle.
     """
 
     albedo: float | np.ndarray = 0.5
@@ -193,7 +193,7 @@ Reflectance = Lambertian | Phong | Mirror | BRDF
 
 
 def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> BRDF:
-    """The notes' example of a reflectance that varies sharply: fine triangular grooves along y.
+    """A reflectance that varies sharply: fine triangular grooves along y.
 
     Their faces are white on one side and black on the other.
 

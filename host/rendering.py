@@ -48,18 +48,18 @@ def render(
         nodes, and exact rays at some hundred samples are within ``tolerance``. ``lattice``: the paper's
         directions on a hemicube (9 unless given). ``horizon``: the source above the horizon of every node in
         a number of azimuths (64 unless given; for lamps and windows, slices through the source as every node
-        sees it). ``unoccluded``: closed forms from the normals, as if ground hid nothing but what lies below
-        each node's own tangent plane; the brightness of a lamp or window is that towards its middle.
+        sees it). ``unoccluded``: closed forms, as if ground hid but what lies below a node's tangent plane;
+        the brightness of a lamp or window is that towards its middle.
     tolerance, tail : float
-        Of ``auto``: RMS error over the mean irradiance of lit nodes (at least 1e-6 of what the source gives
-        if as bright all round: a beam may miss); bound of the 99.9th percentile, ten tolerances unless given.
+        Of ``auto``, and of light between surfaces: RMS error over the mean irradiance of lit nodes (at least
+        1e-6 of what the source gives if as bright all round); bound of the 99.9th percentile, 10 tolerances.
     backend : str
         See :func:`skylamp.backends`.
     quantity : "radiance" or "irradiance"
         Radiance [unit of brightness], or irradiance E [unit of brightness x sr], whatever the reflectance.
     hemicube : odd int or Hemicube, M of the lattice, in place of a tolerance
     filled : bool
-        Test every crossing of a ray with a grid line, not the lattice nodes alone (the paper's step).
+        Test every crossing of a ray with a grid line; False (unless given, of "lattice"): at nodes alone.
     weights : "moment" or "printed"
         Each cell's integral of N.L dL (exact where the cell is wholly visible and above the tangent plane),
         or N.L of its node times its solid angle, as Eq. 3 is printed.
@@ -67,17 +67,16 @@ def render(
         Of horizons, in place of a tolerance: no error is estimated. Under a sky whose brightness is very
         uneven in azimuth, such as one with a sun, a number is placed half evenly, half by brightness.
     max_distance : float [unit of spacing]
-        Of horizons under a sky: ground farther away does not count; the whole map does unless given. Walls
-        of a dark box count at any distance.
+        Of horizons under a sky, in place of a tolerance: ground, but no wall of a dark box, farther away does
+        not count; the whole map does unless given. Of a lamp on tiles: its reach.
     interreflection : "auto", True or False
-        Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method it is
-        included if it is more than a third of the tolerance (in tiles, by windows of all), which then holds
-        for all light. False, and methods asked for: direct light; ground in mirrors is black, as in lobes.
+        Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method, if
+        it is more than a third of it, which then holds for all light. Else ground in mirrors is black.
     parts : bool
         Give ``direct`` and ``reflected`` besides.
     tiling : Tiling
         Tile by tile, as lazy scenes, which give lazy images, and maps beyond the device's memory: see
-        :func:`skylamp.horizons`. Skies alone, in 64 azimuths unless given, suns in their own; no refinement.
+        :func:`skylamp.horizons`. Skies in 64 azimuths unless given, suns in their own; no refinement.
     max_seconds : float
         OutOfTimeError once they are over, compiling apart; looked at before each launch. Not of lazy scenes.
 

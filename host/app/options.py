@@ -25,7 +25,7 @@ Out = Annotated[
     str | None,
     unset(
         "--out",
-        help=".npy, .npz, .tif, .png, .exr or .hdr; - writes .npy to stdout; a .tif from a GeoTIFF is one",
+        help=".npy, .npz, .tif, .png, .exr or .hdr; - writes .npy to stdout; a GeoTIFF's .tif is one too",
     ),
 ]
 MaybeOut = Annotated[

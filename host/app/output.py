@@ -111,8 +111,7 @@ def write(
     :func:`skylamp.io.write`. Returns the range of a scaled PNG, else None.
     """
     if raster is not None and out.lower().endswith((".tif", ".tiff")):
-        colours = array.shape == (*raster.values.shape, 3)
-        geo.write(out, np.moveaxis(array, -1, 0) if colours else array, raster)
+        geo.write(out, array, raster)
         return None
     if out != "-":
         return io.write(out, array, **options)

@@ -218,8 +218,8 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Ras
 
 
 def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
-    """Write ``array``, (rows, cols) or (bands, rows, cols), as a GeoTIFF with the georeference of ``like``,
-    whole or not at all, in the array's own type.
+    """Write ``array``, (rows, cols), (bands, rows, cols) or colours (rows, cols, 3), as a GeoTIFF with the
+    georeference of ``like``, whole or not at all, in the array's own type.
 
     The nodata value of a floating array is NaN, whatever that of ``like`` is, which a valid node may have;
     where ``like`` is masked, its nodata value becomes NaN. A whole-number array keeps the nodata value of
@@ -235,12 +235,14 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
     rasterio = _rasterio(path)
     array = np.asarray(array)
     array = array.astype(np.uint8) if array.dtype == bool else array
+    if array.shape == (*like.values.shape, 3):
+        array = np.moveaxis(array, -1, 0)
     fits = array.shape[-2:] == like.values.shape and array.ndim in (2, 3) and bool(array.size)
     if not fits or array.dtype.kind not in "iuf" or array.dtype == np.float16:
         raise bad(
             f"{path}: cannot write the array",
             f"dtype {array.dtype}, shape {array.shape}",
-            f"real numbers of shape {like.values.shape}, or bands of it",
+            f"real numbers of shape {like.values.shape}, bands of it, or colours",
         )
     nodata = like.nodata
     if array.dtype.kind == "f":

@@ -163,15 +163,15 @@ def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
 
 
 def _overcast(L: np.ndarray, zenith: float) -> np.ndarray:
-    light: np.ndarray = zenith * (1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0
+    light: np.ndarray = zenith * np.maximum(0.0, 1.0 - 2.0 * np.asarray(L)[..., 2]) / 3.0
     return light
 
 
 def environment_map(array: Any) -> BrightnessFunction:
     """Brightness from an equirectangular map, interpolated bilinearly between pixel centres.
 
-    ``array``: (rows, cols), or RGB (rows, cols, 3). Row 0 is the zenith, the last row the nadir; column 0 is
-    towards +x, and azimuth grows towards +y.
+    ``array``: (rows, cols), or RGB (rows, cols, 3). The upper edge of row 0 is the zenith, the lower edge of
+    the last row the nadir; the left edge of column 0 is towards +x, and azimuth grows towards +y.
 
     Returns
     -------

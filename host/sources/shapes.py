@@ -83,7 +83,7 @@ class Lamp:
 
     A sphere, ``center`` = (x, y, z) and ``radius`` [unit of spacing], x along columns, y along rows, z depth
     (z < 0: behind the viewer's plane); or a rectangle that shines to both sides, ``corner`` = (x, y, z) and
-    ``edges``, two vectors at right angles from it (for method="horizon"); or any shape, ``volume`` (layers,
+    ``edges``, two vectors at right angles from it; or any shape, ``volume`` (layers,
     rows, cols) bool on the lattice, True where the node (layer, row, col) shines.
     """
 
