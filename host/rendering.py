@@ -71,7 +71,7 @@ def render(
         not count; the whole map does unless given. Of a lamp on tiles: its reach.
     interreflection : "auto", True or False
         Light between surfaces, to any number of bounces. ``auto``: where a tolerance chooses the method, if
-        it is more than a third of it, which then holds for all light. Else ground in mirrors is black.
+        it is more than a third of that, which then holds for all light. Without it, mirrors show no ground.
     parts : bool
         Give ``direct`` and ``reflected`` besides.
     tiling : Tiling

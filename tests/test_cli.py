@@ -91,6 +91,22 @@ def test_render_writes_what_the_library_renders(here, capsys):
     assert "a.npy: 13 x 15 by numpy" in err
 
 
+def test_a_fixed_cost_and_a_tail(here, capsys):
+    """--azimuths and --max-distance are those of sl.render, and --tail refines."""
+    scene, sky = sl.Scene(BOWL, albedo=0.5), sl.Sky(sl.cie_overcast())
+    common = ("--albedo", "0.5", "--source", "overcast", "--backend", "numpy")
+    for options, keywords in (
+        (("--azimuths", 10, "--max-distance", 3), dict(azimuths=10, max_distance=3)),
+        (("--tail", "0.4%"), dict(tail=0.004)),
+    ):
+        code, _, err = run(capsys, "render", "depth.npy", "--out", "a.npy", *common, *options)
+        assert code == 0, err
+        np.testing.assert_array_equal(
+            io.read("a.npy"), sl.render(scene, sky, backend="numpy", **keywords).image
+        )
+    fails(capsys, 3, "render", "depth.npy", "--out", "b.npy", "--azimuths", 9, "--tail", "1%", says="tail")
+
+
 def test_stride_and_filled_differ(here, capsys):
     """--stride and --filled reach the library as they are."""
     np.save("walls.npy", np.where(np.arange(15) % 5 == 2, 0, 6.0)[None].repeat(13, 0))

@@ -108,6 +108,9 @@ def test_colours_are_bands(tmp_path, fast):
         image = file.read()
         assert (file.count, file.crs, file.transform) == (3, *facts(path)[:2])
     assert (image[0] > image[1]).all() and (image[1] > image[2]).all()
+    geo.write(tmp_path / "b.tif", np.moveaxis(image, 0, -1), geo.read(path))  # as render() gives it
+    with rasterio.open(tmp_path / "b.tif") as file:
+        assert np.array_equal(file.read(), image)
 
 
 @pytest.mark.parametrize(

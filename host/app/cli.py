@@ -26,6 +26,7 @@ import skylamp as sl
 from .. import io
 from ..backends import select
 from ..errors import BackendError, InputError, SkylampError, bad
+from ..io import geotiff as geo
 from ..sources import Sky
 from . import chart as charts
 from . import demo as demos
@@ -66,6 +67,12 @@ def _options(
     _debug, output.quiet, output.verbose = debug, False, False
 
 
+IN_TILES = (  # options of an image that is made tile by tile
+    "--albedo, --source, --sun, --direct, --quantity, --method, --tolerance, --azimuths, --max-distance,"
+    " --interreflection"
+)
+
+
 @app.command(epilog=epilog("render"))
 def render(
     file: opt.File,
@@ -86,6 +93,9 @@ def render(
     sides: opt.Sides = "open",
     method: opt.Method = "auto",
     tolerance: opt.Tolerance = "1%",
+    tail: opt.Tail = None,
+    azimuths: opt.FixedAzimuths = None,
+    max_distance: opt.MaxDistance = None,
     hemicube: opt.LatticeHemicube = None,
     filled: opt.Filled = None,
     quantity: opt.Quantity = "radiance",
@@ -117,6 +127,9 @@ def render(
     options: dict[str, Any] = dict(
         method=method,
         tolerance=parsing.tolerance(tolerance),
+        tail=None if tail is None else parsing.tolerance(tail, "--tail"),
+        azimuths=azimuths,
+        max_distance=max_distance,
         quantity=quantity,
         hemicube=hemicube,
         filled=filled,
@@ -125,10 +138,7 @@ def render(
     if machines.asked:
         to_read = height is False, spacing, nodata, resample, sides != "open"
         others = *to_read, white, bits != 8, exposure, error
-        compatible = (
-            "--albedo, --source, --sun, --direct, --quantity, --method, --tolerance, --interreflection"
-        )
-        out_of_core.checked_output(compatible, out, others)
+        out_of_core.checked_output(IN_TILES, out, others)
         words = dict(albedo=albedo, source=source, sun=sun, direct=direct)
         work = out_of_core.image(file, surface, light, backend, words, **options)
         return _by_tiles(file, out, work, machines, as_json)
@@ -136,6 +146,20 @@ def render(
     parsing.check_place(light, raster)
     with output.progress_bar("rendering"):
         done = sl.render(scene, light, backend=backend, **options)
+    white_range = None if white is None else (0.0, white)
+    _write_image(done, out, error, raster, exposure, as_json, range=white_range, bits=bits)
+
+
+def _write_image(
+    done: sl.Rendering,
+    out: str,
+    error: str | None,
+    raster: geo.Raster | None,
+    exposure: float | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Write an image, and its error if that is asked for, and report them; ``options`` of a PNG."""
     if error is not None and done.error is None:
         raise typer.BadParameter(
             "an error is estimated of rho E / pi within a tolerance: it requires an albedo above 0 and"
@@ -143,7 +167,7 @@ def render(
             param_hint="--error",
         )
     image = done.image if exposure is None else io.tone_mapped(done.image, exposure)
-    scale = output.write(out, image, raster, range=None if white is None else (0.0, white), bits=bits)
+    scale = output.write(out, image, raster, **options)
     if error is not None:
         output.write(error, done.error, raster)
     output.report(done, out, as_json, shape=done.image.shape, range=scale)

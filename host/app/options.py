@@ -194,6 +194,10 @@ Definition = Annotated[
     Literal["tilted", "horizontal", "solid_angle"], typer.Option(help="Definition of the sky-view factor")
 ]
 Azimuths = Annotated[int, typer.Option(help="Number of directions in which horizons are searched")]
+FixedAzimuths = Annotated[
+    int | None,
+    unset("--azimuths", help="Number of directions in which horizons are searched, instead of a tolerance"),
+]
 MaxDistance = Annotated[
     float | None,
     unset(help="Radius of the search for horizons, in the unit of spacing  [default: the whole map]"),

@@ -169,7 +169,8 @@ def image(
         words = {**words, "source": [str(Path(kind).resolve()), state.st_size, state.st_mtime_ns]}
     settings = dict(words, **options)
     bands, between = 3 if work.in_colour else 1, work.between
-    return Quantity(work, work.audit, settings, bands=bands, albedo=scene.albedo, between=between)
+    reach = options.get("max_distance")
+    return Quantity(work, work.audit, settings, reach, bands=bands, albedo=scene.albedo, between=between)
 
 
 def write_quantity(
