@@ -28,7 +28,7 @@ from .images import (
     per_colour,
     scaled,
 )
-from .interreflection import CHECKED, Interreflection, included, is_needed, reason
+from .interreflection import CHECKED, Interreflection, included, is_needed, reason, share_everywhere
 from .light import lattice, propagation, unoccluded
 from .light.finite import solid_of
 from .light.interreflection import Glossy
@@ -102,6 +102,7 @@ class Renderer:
         self.parts: list[tuple[Refined, float]] = []  # refined irradiances, times factors
         self.unlit: np.ndarray | None = None  # (rows, cols) bool: mirrors that do not show the source
         self.interreflection: Interreflection | None = None
+        self.share: float | None = None  # RMS of the light between surfaces over the mean of the direct light
         self.between: list[float] = []  # error of the light between surfaces, of every part
 
     def render(self) -> Rendering:
@@ -158,10 +159,11 @@ class Renderer:
 
     def _with_bounces(self, direct: list[Irradiance]) -> list[Irradiance]:
         """Irradiances of all light, or of direct light where the rest is left out."""
-        why = _left_out(self.scene, self.options, self.plans)
+        self.share = _share_between(self.plans)
+        why = _left_out(self, direct)
         if why or not direct:
             why = why or "there is no Lambertian reflection to show"
-            self.interreflection = Interreflection(False, why, _share_between(self.plans))
+            self.interreflection = Interreflection(False, why, self.share)
             self.between = [0.0] * len(direct)
             # light between surfaces would be in colour, so this is too, whether it is included or not
             coloured = self.options.chooses and self.options.interreflection == "auto" and len(direct) == 1
@@ -387,13 +389,12 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
     if alike and factors is not None:  # that of brightness 1, as it is for a grey source
         most = np.float32(factors[brightest])
         lights = [call.parts[0][0].irradiance if call.parts else np.asarray(direct[brightest]) / most]
-    whole_sky = isinstance(call.source, sources.Sky) and options.max_distance is None
-    if alike and factors is not None and whole_sky and not call.by_lattice:
+    if alike and factors is not None and _is_whole_sky(call):
         sky = scaled(lights[0], 1 / np.pi)
     error = max((plan.error or 0.0 for plan in call.plans), default=0.0)
     why = "as asked"
     if options.interreflection == "auto":
-        why = reason(_share_between(call.plans), tolerance)
+        why = reason(call.share, tolerance)
     both = included(scene, call.engine, lights, tolerance, why, error, sky, tail=options.tail)
     call.interreflection = both.record
     call.warnings.extend(both.warnings)
@@ -435,8 +436,9 @@ def _with_ground(
     return [shine[n % len(shine)] + shown[n % len(shown)] for n in range(count)]
 
 
-def _left_out(scene: Scene, options: Options, plans: list[Plan]) -> str:
+def _left_out(call: Renderer, direct: Sequence[Irradiance]) -> str:
     """Why light between surfaces is left out, or nothing."""
+    scene, options, tolerance = call.scene, call.options, float(call.options.tolerance)
     if options.interreflection is False:
         return "as asked"
     if not np.any(scene.albedo):
@@ -445,8 +447,19 @@ def _left_out(scene: Scene, options: Options, plans: list[Plan]) -> str:
         return ""
     if not options.chooses:
         return "the method that was asked for is of direct light"
-    share, tolerance = _share_between(plans), float(options.tolerance)
-    return "" if share is None or is_needed(share, tolerance) else reason(share, tolerance)
+    if call.share is None or is_needed(call.share, tolerance):
+        return ""
+    factors = numbers_of(call.greys) if _is_whole_sky(call) else None
+    call.share = max(
+        call.share, share_everywhere(scene, call.engine, direct, None if factors is None else factors[0])
+    )
+    return "" if is_needed(call.share, tolerance) else reason(call.share, tolerance)
+
+
+def _is_whole_sky(call: Renderer) -> bool:
+    """Whether the direct light is that of the whole sky above the horizons of all ground."""
+    whole = isinstance(call.source, sources.Sky) and call.options.max_distance is None
+    return whole and not call.by_lattice
 
 
 def _share_between(plans: list[Plan]) -> float | None:

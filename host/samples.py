@@ -374,6 +374,13 @@ def samples_of(engine: Backend, scene: Scene, count: int = SAMPLE_COUNT) -> Samp
     return samples
 
 
+def without_walls(samples: Samples) -> Samples:
+    """The samples with open sides, for what ground alone hides: the walls of a dark box send no light."""
+    opened = copy.copy(samples)
+    opened.sides, opened.traced = "open" if samples.sides == "dark" else samples.sides, {}
+    return opened
+
+
 def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:
     """Image ``number`` of some (rows, cols) float32 on the device at the samples, float32."""
     at = (number * samples.rows + samples.y) * samples.cols + samples.x

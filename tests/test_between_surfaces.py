@@ -289,6 +289,60 @@ def test_the_error_in_a_dark_box_is_that_of_its_light(fast):
     corners = np.array([[-0.5, -0.5, 0], [n - 0.5, -0.5, 0], [n - 0.5, n - 0.5, 0], [-0.5, n - 0.5, 0]])
     rays = corners - np.stack([x, y, np.full(x.shape, deep)], -1)[:, :, None]
     exact = -sl.radiometry.polygon_moment(rays)[..., 2]
-    out = sl.render(scene, sl.Sky(), quantity="irradiance", backend=fast)
+    assert not sl.render(scene, sl.Sky(), backend=fast).interreflection.included  # there is none
+    out = sl.render(scene, sl.Sky(), quantity="irradiance", interreflection=True, backend=fast)
     error = np.sqrt(np.mean((out.image - exact) ** 2)) / exact.mean()
-    assert out.interreflection.included and 1e-3 < error and 0.8 * error < out.plan.error < 1.3 * error
+    assert (
+        out.interreflection.included
+        and out.interreflection.share == 0
+        and 1e-3 < error
+        and 0.8 * error < out.plan.error < 1.3 * error
+    )
+
+
+def hole(size, at, side=3, deep=12.0):
+    """A plain with a square hole: depth."""
+    depth = np.zeros((size, size))
+    depth[at[0] : at[0] + side, at[1] : at[1] + side] = deep
+    return depth
+
+
+@pytest.mark.parametrize("source", ["sky", "lamp"])
+def test_light_in_a_hole_in_a_plain(fast, source):
+    """Nine of 16,384 nodes, which no sample of a plan meets: 1.6 % were left out at 1 and 0.3 %, or the
+    rounds ended after the first, with an error of 0.7 % and an estimate of 0.
+    """
+    size, patch, tolerance = 128, 24, 0.003
+    small = hole(patch, (10, 10))
+    angles = 2 * np.pi * (np.arange(120) + 0.3) / 120
+    gains, _ = oracle.strips(small, 1.0, np.ones(small.shape, bool), angles)
+    light = sl.Sky() if source == "sky" else sl.Lamp((64.0, 64.0, -60.0), 20.0)
+    for at in ((50, 70), (77, 20)):
+        scene = sl.Scene(hole(size, at), albedo=0.9)
+        asked = dict(tolerance=tolerance, quantity="irradiance", backend=fast)
+        direct = sl.render(scene, light, interreflection=False, **asked).image
+        around = np.s_[at[0] - 10 : at[0] + 14, at[1] - 10 : at[1] + 14]
+        exact = direct.astype(float)
+        exact[around] = oracle.interreflection(
+            direct[around].ravel().astype(float), np.full(small.size, 0.9), gains
+        ).reshape(small.shape)
+        missing = np.sqrt(np.mean((direct - exact) ** 2)) / exact.mean()
+        out = sl.render(scene, light, **asked)
+        assert out.interreflection.included == (missing > tolerance)
+        error = np.sqrt(np.mean((out.image - exact) ** 2)) / exact.mean()
+        assert error < tolerance < missing or error == pytest.approx(missing)
+        assert abs(out.interreflection.share / missing - 1) < 0.5
+
+
+def test_a_thin_bright_wall_on_dark_ground(fast):
+    """Nodes on its crest look up, and the dark ground sends nothing: 8 % were left out at 1 %."""
+    x = np.arange(36)
+    depth = np.tile(np.where(x == 18, 0.0, 9.0), (36, 1))
+    albedo = np.tile(np.where(x == 18, 0.95, 0.02), (36, 1))
+    angles = 2 * np.pi * (np.arange(60) + 0.3) / 60
+    gains, sky = oracle.strips(depth, 1.0, np.ones(depth.shape, bool), angles)
+    exact = oracle.interreflection(np.pi * sky, albedo.ravel(), gains).reshape(depth.shape)
+    scene = sl.Scene(depth, albedo=albedo)
+    out = sl.render(scene, sl.Sky(), tolerance=0.01, quantity="irradiance", backend=fast)
+    assert out.interreflection.included
+    assert np.sqrt(np.mean((out.image - exact) ** 2)) < 0.01 * exact.mean()

@@ -22,7 +22,16 @@ from ..light.base import LightMethod
 from ..light.lattice import Lattice, lacking
 from ..light.unoccluded import ClosedForm
 from ..reflectance import BRDF, Lambertian, Phong
-from ..samples import CLIFF, ESTIMATE_SHARE, SAMPLE_COUNT, SAMPLED_SLOPE, Errors, Samples, samples_of
+from ..samples import (
+    CLIFF,
+    ESTIMATE_SHARE,
+    SAMPLE_COUNT,
+    SAMPLED_SLOPE,
+    Errors,
+    Samples,
+    samples_of,
+    without_walls,
+)
 from ..scene import Scene
 from .plan import Choice, Plan, percent
 
@@ -141,9 +150,10 @@ class Planner(ABC):
         """
         if direct is None or not direct.any() or not np.any(self.scene.albedo):
             return None if direct is None else 0.0
-        if self.uniform is None:
-            self.uniform = uniform_light(self.samples)
-        return expected(self.scene, self.samples, direct, self.uniform / np.pi)
+        seen = self.uniform
+        if seen is None or self.samples.sides == "dark":
+            seen = uniform_light(without_walls(self.samples))
+        return expected(self.scene, self.samples, direct, seen / np.pi)
 
     def plan(self, direct: np.ndarray | None = None) -> Plan:
         """The plan, with the errors that the samples expect; ``direct`` light there, if it was unknown."""
