@@ -64,6 +64,7 @@ COARSE_LOBE = 1.2
 # or noise .2 to .4 (.07 to .14), by 1 .6 to 2.2; smooth skies .2 to .3 (.09 to .2); windows, spheres with a
 # step or stripes .3 to .9 (.09 to .8, beyond .3 with a warning), by 1 .9 to 7.0 (performance/lobes.py)
 LOBE_FINENESS = 0.5, 1, 3, 8
+DISC_POINTS = 2  # of a sun's disc in a lobe, times the fineness; chosen
 # of the tolerance that rays may take which look for ground in lobes; chosen: errors add by squares, and
 # estimates of the other light take up to 0.85
 LOBE_SHARE = 0.5
@@ -258,11 +259,12 @@ class Renderer:
         assert lobe is not None, "called for surfaces with a lobe"
         there = scene.on(engine)
         reach = np.inf if max_distance is None else max_distance * (there.step / scene.spacing)
-        table, suns, flux = blurred(sources.without_disc(grey), lobe.spread, max(1, int(fineness / 4)))
+        table, suns, flux = blurred(sources.without_disc(grey), lobe.spread, math.ceil(fineness / 2))
         brightness = sources.distribution_of(grey)
         if brightness is not None and (disc := brightness.disc()) is not None:
-            suns = np.concatenate([suns.reshape(-1, 3), [disc.direction]])
-            flux = np.append(flux, disc.irradiance)
+            count = math.ceil(DISC_POINTS * fineness)
+            suns = np.concatenate([suns.reshape(-1, 3), disc.points(count)])
+            flux = np.append(flux, np.full(count, disc.irradiance / count))
         slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe, fineness=fineness)
         slices.run()
         image = slices.download()

@@ -22,6 +22,10 @@ def step(L):
     return 0.1 + (L[..., 0] > 0.1)
 
 
+def patch(L):
+    return 0.2 + 5.0 * (0.3 * L[..., 0] - 0.95 * L[..., 2] > 0.9)
+
+
 def stripes(L):
     return 1 + np.sign(np.sin(9 * L[..., 0] + 4 * L[..., 1]))
 
@@ -34,7 +38,9 @@ def sources(rng):
         yield f"window {name}", sl.Window(x=(10, 30), y=(5, 25), brightness=L)
         yield f"sphere {name}", sl.Lamp((20, 20, -9), 6, brightness=L)
     for name, L in (
+        ("even", 1.0),
         ("step", step),
+        ("patch", patch),
         ("stripes", stripes),
         ("noise", noise),
         ("clear", clear),

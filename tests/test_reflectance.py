@@ -1019,6 +1019,31 @@ def test_a_lobe_in_colour_is_refined_as_its_grey_renders(fast):
         assert_bits_equal(np.ascontiguousarray(image[..., n]), alone)
 
 
+@pytest.mark.parametrize("exponent", [100, 600])
+@pytest.mark.parametrize("degrees", [8, 25])
+def test_bright_patches_that_are_wider_than_a_lobe(fast, exponent, degrees):
+    """They were 64 points, between which narrow lobes saw dots: up to 16 % off on level ground."""
+    edge = math.cos(math.radians(degrees))
+    sky = sl.Sky(lambda L: 1 + 9.0 * (-L[..., 2] > edge))
+    scene = sl.Scene(np.full((8, 8), 20.0), reflectance=sl.Phong(0, 1, exponent))
+    out = sl.render(scene, sky, tolerance=0.01, interreflection=False, backend=fast)
+    np.testing.assert_allclose(out.image, 1 + 9 * (1 - edge ** (exponent + 2)), rtol=0.005)
+
+
+@pytest.mark.parametrize("exponent", [600, 20_000])
+def test_the_suns_disc_in_a_narrow_lobe(fast, exponent):
+    """As a point it gave .3 and 11 % too much at any tolerance."""
+    scene = sl.Scene(np.full((6, 6), 20.0), reflectance=sl.Phong(0, 1, exponent))
+    sky = functools.partial(sl.cie_clear, (300, 89.999), horizontal=90)
+    with_sun, without = (
+        sl.render(scene, sl.Sky(sky(direct=direct)), tolerance=0.003, interreflection=False, backend=fast)
+        for direct in (750.0, 0.0)
+    )
+    radius = math.radians(0.2665)
+    disc = 750 / (np.pi * math.sin(radius) ** 2) * (1 - math.cos(radius) ** (exponent + 2))
+    np.testing.assert_allclose(with_sun.image - without.image, disc, rtol=0.002)
+
+
 def test_a_lobe_that_cannot_be_refined_is_told(fast):
     scene = sl.Scene(np.full((12, 14), 9.0), reflectance=sl.Phong(0.3, 0.4, 50))
     window = sl.Window(x=(3, 11), y=(2, 9), brightness=lambda L: 1.0 * (L[..., 0] > 0.1) + 0.1)

@@ -87,7 +87,8 @@ def blurred(
 
     (number or table, suns (K, 3), their flux (K,)). The table holds means over cells of a quarter of a half
     width or less, so that little falls between the lobe's samples. Brightness beyond SUNNY times the mean is
-    not in it; it is given as up to SUNS unit vectors with brightness x solid angle each.
+    not in it, or beyond more where it is in more than SUNS places as a lobe sees them, half a half width
+    across; it is given as a unit vector with brightness x solid angle for each of these.
     """
     suns: tuple[np.ndarray, np.ndarray] = np.zeros((0, 3)), np.zeros(0)
     fine = brightness_of(source, LOBE_SAMPLES)
@@ -96,15 +97,16 @@ def blurred(
     u = np.linspace(-1, 1, LOBE_SAMPLES)
     square = u * u + u[:, None] ** 2
     angle = np.where(square <= 1, (2 * (u[1] - u[0]) / (1 + square)) ** 2, 0.0)  # of the plane's cells
-    limit = SUNNY * float((fine * angle).sum() / angle.sum())
-    y, x = np.nonzero((fine > limit) & (square <= 1))
-    if len(x):
+    limit, count = SUNNY * float((fine * angle).sum() / angle.sum()) / 4, SUNS + 1
+    block = max(0, math.floor(math.log2(spread * LOBE_SAMPLES / 8)))  # half a half width, at the zenith
+    while count > SUNS:
+        limit *= 4
+        y, x = np.nonzero((fine > limit) & (square <= 1))
+        which = np.unique((y >> block) * LOBE_SAMPLES + (x >> block), return_inverse=True)[1]
+        count = which.max(initial=-1) + 1
+    if count:
         flux = (fine[y, x] - limit) * angle[y, x]
         L = np.stack([2 * u[x], 2 * u[y], square[y, x] - 1], -1) / (1 + square[y, x, None])
-        block, count = 0, SUNS + 1
-        while count > SUNS:  # neighbours are merged until they are few
-            which = np.unique((y >> block) * LOBE_SAMPLES + (x >> block), return_inverse=True)[1]
-            count, block = which.max() + 1, block + 1
         total = np.bincount(which, flux)
         middle = np.stack([np.bincount(which, flux * part) for part in L.T], -1)
         units: np.ndarray = middle / np.linalg.norm(middle, axis=1, keepdims=True)

@@ -7,6 +7,7 @@ section 4).
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,17 @@ class Disc(NamedTuple):
     def brightness(self) -> float:
         """B of irradiance = pi B sin^2(radius)."""
         return float(self.irradiance / (np.pi * np.sin(self.radius) ** 2))
+
+    def points(self, count: int) -> np.ndarray:
+        """Unit vectors (count, 3) spread evenly over the disc, along a spiral; its middle if it is one."""
+        axis, place = np.array(self.direction), np.arange(count) + 0.5
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        across /= np.linalg.norm(across)
+        out = math.sin(self.radius) * np.sqrt(place / count) * (count > 1)
+        turn = np.pi * (1 + math.sqrt(5)) * place  # the golden angle
+        sides = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(axis, across)
+        points: np.ndarray = np.sqrt(1 - out**2)[:, None] * axis + out[:, None] * sides
+        return points
 
 
 class Distribution(ABC):
