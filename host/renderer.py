@@ -45,7 +45,7 @@ from .light.slices import (
 )
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
 from .planning.plan import Choice, Plan, percent
-from .refinement import Refined, refined
+from .refinement import ASSUMED_ERROR_RATIO, Refined, refined
 from .reflectance import BRDF, Phong
 from .render_options import Options, sectors_of
 from .samples import lit_mean
@@ -247,8 +247,9 @@ class Renderer:
             parts = shading.above_horizons(scene, sweeps.planes(), sectors)
         else:
             parts = shading.through_solid(scene, self.greys[0], self.engine, options.max_distance)
-        images, lights = shading.by_brdf(scene, self.greys, parts)
+        images, lights, differences = shading.by_brdf(scene, self.greys, parts)
         if options.chooses:
+            self.warnings += _between_rays(self, images, differences)
             self.plans[0] = replace(self.plans[0], reason="a BRDF takes as many rays for every tolerance")
             self.warnings += _missed_by_rays(self, lights)
         return list(images)
@@ -326,7 +327,7 @@ class Renderer:
             whole = whole if warnings else None  # the sum is exact enough
         if options.brdf(scene):
             bits = propagation.visibility(self.engine, problem)
-            images, lights = shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
+            images, lights, _ = shading.by_brdf(scene, self.greys, shading.of_lattice(bits, cube))
             if options.chooses:
                 self.warnings += _missed_by_rays(self, lights)
             return [], list(images)
@@ -356,6 +357,21 @@ def _by_cells(
     length = np.linalg.norm(moments, axis=1)
     L = np.where(length[:, None] > 0, moments / np.maximum(length, 1e-300)[:, None], cube.directions)
     return moments, length / np.linalg.norm(cube.moments, axis=1), L
+
+
+def _between_rays(call: Renderer, images: np.ndarray, differences: np.ndarray) -> list[str]:
+    """A warning if half differences (greys, rows, cols) of the images by a BRDF are beyond the tolerance."""
+    valid, tolerance, error = call.scene.valid, float(call.options.tolerance), 0.0
+    for image, difference in zip(images, differences):
+        if mean := lit_mean(image[valid]):
+            rms = math.sqrt(float(np.mean(difference[valid] ** 2)))
+            error = max(error, ASSUMED_ERROR_RATIO * rms / mean)
+    if error <= tolerance:
+        return []
+    return [
+        f"Tolerance: the estimated error of the BRDF's image is {100 * error:.3g} % of the mean (RMS), more"
+        f" than the {100 * tolerance:.3g} % asked for: its lobes are narrow for as many rays."
+    ]
 
 
 def _missed_by_rays(call: Renderer, lights: np.ndarray) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
@@ -19,7 +20,10 @@ from .reflectance import BRDF, Mirror, Phong, frames, mirror_directions
 from .scene import Scene
 from .sources.solids import Dome
 
-BRDF_ELEVATIONS = 12  # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky
+# Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky: of every other azimuth each, so that
+# their difference shows lobes that fall between elevations. Chosen: lobes of exponents up to 80 err by 0.1 %
+# on a slope, of 100 by 0.3 and of 150 by 1.7 %; with 16 alone of 300 by 4.9 % without a difference
+BRDF_ELEVATIONS = 16, 13
 BRDF_RAYS = 12  # rays across a lamp or window, of a BRDF; its square in all
 BRDF_BATCH = 2**18  # directions that a BRDF function is given at a time
 
@@ -92,18 +96,20 @@ def mirrored(
 
 
 # Light that reaches the nodes, a part at a time: L (rows, cols, n, 3) unit vectors, weights (rows, cols, n)
-# [sr], 0 where the source is not visible
-Parts = Iterator[tuple[np.ndarray, np.ndarray]]
+# [sr], 0 where the source is not visible; 1 or -1 of two halves that each are an image, 0 without these
+Parts = Iterator[tuple[np.ndarray, np.ndarray, int]]
 
 
 def by_brdf(scene: Scene, greys: Sequence[sources.Source], parts: Parts) -> np.ndarray:
-    """Radiance of a BRDF under all parts of the light, and the irradiance of these, (2, greys, rows, cols)
-    float32.
+    """Radiance of a BRDF under all parts of the light, their irradiance, and half the difference of the
+    radiances by two halves of them: (3, greys, rows, cols) float32.
     """
     reflect = _Reflection(scene)
-    images = np.zeros((2, len(greys), *scene.shape))
-    for L, weights in parts:
-        images += reflect(greys, L, weights)
+    images = np.zeros((3, len(greys), *scene.shape))
+    for L, weights, half in parts:
+        both = reflect(greys, L, weights)
+        images[:2] += both
+        images[2] += half * both[0]
     return images.astype(np.float32)
 
 
@@ -111,9 +117,9 @@ def through_solid(scene: Scene, source: sources.Source, engine: Backend, max_dis
     """Rays to a lamp or window, spread evenly over its solid angle or area."""
     rays = _Rays(scene, engine, max_distance)
     u = (np.arange(BRDF_RAYS) + 0.5) / BRDF_RAYS
-    for a in u:
+    for a, half in zip(u, itertools.cycle((1, -1, -1, 1))):  # halves that have the same middle
         L, ends, weights = _aim(scene, source, a, u)
-        yield L, np.where(rays.free(L, ends) & (weights > 0), weights, 0.0)
+        yield L, np.where(rays.free(L, ends) & (weights > 0), weights, 0.0), half
 
 
 def above_horizons(scene: Scene, planes: Iterable[tuple[np.ndarray, np.ndarray]], sectors: Azimuths) -> Parts:
@@ -121,17 +127,18 @@ def above_horizons(scene: Scene, planes: Iterable[tuple[np.ndarray, np.ndarray]]
 
     ``planes`` yields (numbers of azimuths (n,), their horizons' slopes (n, rows, cols)), a few at a time.
     """
-    node, weight = np.polynomial.legendre.leggauss(BRDF_ELEVATIONS)
+    rules = [np.polynomial.legendre.leggauss(count) for count in BRDF_ELEVATIONS]
     gx, gy = tilts(scene).astype(float)
     for numbers, slopes in planes:
         for number, slope in zip(numbers, slopes):
+            node, weight = rules[number % 2]
             c, s = np.cos(sectors.angles[number]), np.sin(sectors.angles[number])
             plane = -(gx * c + gy * s)  # slope of the tangent plane; light comes from above the level, too
             low = np.arctan(np.maximum(np.maximum(slope, plane), 0.0))[..., None]
             half = (np.pi / 2 - low) / 2
             e = low + half * (1 + node)
             L = np.stack([np.cos(e) * c, np.cos(e) * s, -np.sin(e)], -1)
-            yield L, half * weight * np.cos(e) * sectors.widths[number]
+            yield L, half * weight * np.cos(e) * sectors.widths[number], 1 - 2 * int(number % 2)
 
 
 def of_lattice(bits: np.ndarray, cube: Hemicube) -> Parts:
@@ -139,7 +146,7 @@ def of_lattice(bits: np.ndarray, cube: Hemicube) -> Parts:
     for some in np.array_split(np.arange(len(cube)), -(-len(cube) // 16)):
         lit = np.stack([bits[..., d // 32] >> np.uint32(d % 32) & np.uint32(1) for d in some], -1)
         L = np.broadcast_to(cube.directions[some], (*bits.shape[:2], len(some), 3))
-        yield L, lit * cube.solid_angles[some]
+        yield L, lit * cube.solid_angles[some], 0
 
 
 class _Reflection:

@@ -60,7 +60,7 @@ def main():
 
     def render(source, exponent, tolerance, fineness=None):
         """(image, seconds, warnings), by a number of slices unless the tolerance chooses."""
-        by = lambda call, grey, lobe_of, irradiances: lobe_of(grey, fineness)
+        by = lambda call, grey, lobe_of, *shares: lobe_of(grey, fineness)
         renderer._refined_lobe = chosen if fineness is None else by
         scene, begin = sl.Scene(depth, reflectance=sl.Phong(0.3, 0.4, exponent)), time.perf_counter()
         out = sl.render(scene, source, tolerance=tolerance, interreflection=False, backend=args.backend)

@@ -937,7 +937,7 @@ def test_light_that_the_rays_of_a_brdf_miss_is_told(fast):
         )
         off = np.sqrt(np.mean((got.image - wanted.image) ** 2)) / wanted.image[wanted.image > 0].mean()
         told = [
-            float(text.split("BRDF is ")[1].split(" %")[0]) / 100 for text in got.warnings if "BRDF" in text
+            float(text.split("BRDF is ")[1].split(" %")[0]) / 100 for text in got.warnings if "rays of a BRDF" in text
         ]
         assert told == ([pytest.approx(off, rel=0.02)] if is_told else [])
         assert "as asked" not in got.plan.line
@@ -970,6 +970,7 @@ def test_lobes_of_uneven_windows_are_refined(fast, exponent, tolerance):
     assert not out.warnings
 
 
+@pytest.mark.slow
 def test_lobes_of_uneven_skies_are_refined(fast):
     """Noise over slopes: by once the slices 1 to 3 % off at any tolerance. Truth: the sum over the sky."""
     sky = sl.environment_map(np.random.default_rng(3).lognormal(0, 1, (32, 64)))
@@ -1042,6 +1043,21 @@ def test_the_suns_disc_in_a_narrow_lobe(fast, exponent):
     radius = math.radians(0.2665)
     disc = 750 / (np.pi * math.sin(radius) ** 2) * (1 - math.cos(radius) ** (exponent + 2))
     np.testing.assert_allclose(with_sun.image - without.image, disc, rtol=0.002)
+
+
+@pytest.mark.parametrize("exponent, is_told", [(40, False), (600, True)])
+def test_a_narrow_lobe_of_a_brdf_is_told(fast, exponent, is_told):
+    """Rays are as many for every lobe: 40 to 50 % were missing, without a warning."""
+    phong = sl.Phong(0, 1, exponent)
+    slope = 20 + 0.3 * np.mgrid[:8, :8][1]
+    for light in (sl.Sky(), sl.Lamp((4, 4, -20), 15)):
+        exact, image = (
+            sl.render(sl.Scene(slope, reflectance=surface), light, interreflection=False, backend=fast)
+            for surface in (phong, sl.BRDF(phong.brdf))
+        )
+        error = np.sqrt(np.mean((image.image - exact.image) ** 2)) / exact.image.mean()
+        told = any("estimated error of the BRDF" in text for text in image.warnings)
+        assert (error > 0.01) == told == is_told, (error, image.warnings)
 
 
 def test_a_lobe_that_cannot_be_refined_is_told(fast):
