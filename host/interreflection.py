@@ -21,7 +21,7 @@ from .errors import bad
 from .light.horizon import OFFSET
 from .light.interreflection import Bounces, Round
 from .light.sweeps import Rays, Sweeps, ground_of
-from .samples import ESTIMATE_SHARE, Samples, errors, picked, samples_of, without_walls
+from .samples import ESTIMATE_SHARE, Samples, errors, picked, samples_of, spread_more, without_walls
 from .scene import Scene
 from .sources.integrals import even
 
@@ -183,9 +183,10 @@ def share_everywhere(
     Rare ground, as a hole in a plain, falls between the samples of a plan. ``brightness``: of a uniform sky,
     which all of ``direct`` comes from; None for any other source.
     """
-    samples, shares = samples_of(engine, scene, CANDIDATES), albedos(scene)
+    samples, shares = samples_of(engine, scene, CHECKED), albedos(scene)
     if not samples.relief > 0 or scene.sides == "dark":  # whose walls hide sky and send no light
         return 0.0
+    samples = spread_more(samples, scene, CANDIDATES)
     lights = [_at(samples, image) for image in direct]
     if brightness is None:
         sectors = even(DECIDING_AZIMUTHS, OFFSET)
@@ -282,7 +283,7 @@ def included(
     counts as being as bright as the ground that is visible within the part. ``tail``: bound of the 99.9th
     percentile of the error over the mean, beyond which there is a warning.
     """
-    samples = samples_of(engine, scene, CANDIDATES)
+    samples = samples_of(engine, scene, CHECKED)
     # walls of a dark box are no ground, so that strips tell nothing of the direct light's error
     is_uniform = sky is not None and not is_part and scene.sides != "dark"
     has_cliffs = CLIFF_ERROR * math.sqrt(samples.cliffs) > CLIFF_SHARE * tolerance
@@ -290,7 +291,7 @@ def included(
     shares = albedos(scene)
     count = max(len(direct), len(shares))
     lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))
-    weights = _choose_checked(samples, lights, shares, sky)
+    weights = _choose_checked(samples, scene, lights, shares, sky)
     bounces = Bounces(engine, scene, samples, lights, shares, sky)
     check = _Check(bounces, lights, shares, sky, weights, error, is_uniform, is_part)
     coarse = check.coarse_rounds(tolerance)
@@ -330,22 +331,24 @@ def included(
 
 def _choose_checked(
     samples: Samples,
+    scene: Scene,
     direct: Sequence[np.ndarray | DeviceImage],
     albedo: Sequence[Any],
     sky: np.ndarray | DeviceImage,
 ) -> np.ndarray:
-    """Move the samples to CHECKED of their nodes; the weights of these, by which they stand for all."""
-    if len(samples) <= CHECKED:
+    """Move the samples to CHECKED of many nodes; the weights of these, by which they stand for all."""
+    many = spread_more(samples, scene, CANDIDATES)
+    if len(many) <= CHECKED:
         return np.ones(len(samples))
-    seen, likely = _at(samples, sky), np.zeros(len(samples))
+    seen, likely = _at(many, sky), np.zeros(len(many))
     for image, share in zip(direct, albedo):
-        light = _at(samples, image)
-        sent = _sent(light, seen, share[samples.y, samples.x] if np.ndim(share) else share) ** 2
+        light = _at(many, image)
+        sent = _sent(light, seen, share[many.y, many.x] if np.ndim(share) else share) ** 2
         likely = np.maximum(likely, sent / max(float(sent.mean()), 1e-300))
     likely = (1 + likely / max(float(likely.mean()), 1e-300)) / 2 if likely.any() else np.ones(len(likely))
     ends = np.cumsum(likely)
     chosen = np.searchsorted(ends, ends[-1] * (np.arange(CHECKED) + 0.5) / CHECKED)
-    samples.set_nodes(samples.x[chosen], samples.y[chosen])
+    samples.set_nodes(many.x[chosen], many.y[chosen])
     weights: np.ndarray = 1 / likely[chosen]
     return weights
 

@@ -374,6 +374,18 @@ def samples_of(engine: Backend, scene: Scene, count: int = SAMPLE_COUNT) -> Samp
     return samples
 
 
+def spread_more(samples: Samples, scene: Scene, count: int) -> Samples:
+    """The samples with ``count`` nodes of which only the places are known: for :func:`picked` and
+    :meth:`Samples.of` alone.
+    """
+    derived, key = samples.there.derived, ("nodes", count)
+    if key not in derived:
+        derived[key] = _sequence_nodes(scene, count, samples.first)
+    many = copy.copy(samples)
+    many.x, many.y = derived[key]
+    return many
+
+
 def without_walls(samples: Samples) -> Samples:
     """The samples with open sides, for what ground alone hides: the walls of a dark box send no light."""
     opened = copy.copy(samples)
