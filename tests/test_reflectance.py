@@ -937,7 +937,9 @@ def test_light_that_the_rays_of_a_brdf_miss_is_told(fast):
         )
         off = np.sqrt(np.mean((got.image - wanted.image) ** 2)) / wanted.image[wanted.image > 0].mean()
         told = [
-            float(text.split("BRDF is ")[1].split(" %")[0]) / 100 for text in got.warnings if "rays of a BRDF" in text
+            float(text.split("BRDF is ")[1].split(" %")[0]) / 100
+            for text in got.warnings
+            if "rays of a BRDF" in text
         ]
         assert told == ([pytest.approx(off, rel=0.02)] if is_told else [])
         assert "as asked" not in got.plan.line
