@@ -81,10 +81,11 @@ class Interreflection:
     """The decision about the light between surfaces, its reason and its error.
 
     included: whether it is in the image, None where that is decided while a lazy image is computed; reason:
-    why, or why not; share: RMS of this light over the mean of the direct light, None where it was not
-    estimated; rounds of gathering, the last in ``azimuths`` at every ``stride``-th node; error: of all light,
-    RMS over its mean, by exact strips at some nodes. Where this light is left out, and where every tile has
-    rounds of its own, rounds is 0, and azimuths, stride and error are None.
+    why, or why not; share: RMS of this light over the mean of the direct light, that of the image where it is
+    included, else as estimated, None where it was not; rounds of gathering, the last in ``azimuths`` at every
+    ``stride``-th node; error: of all light, RMS over its mean, by exact strips at some nodes. Where this
+    light is left out, and where every tile has rounds of its own, rounds is 0, and azimuths, stride and error
+    are None.
     """
 
     included: bool | None
@@ -307,7 +308,7 @@ def included(
             break
         before, level = total, level + 1
     last = rounds[-1]
-    record = Interreflection(True, why, check.share, done, last.azimuths, last.stride, total)
+    record = Interreflection(True, why, check.found, done, last.azimuths, last.stride, total)
     warnings = []
     if total > tolerance:
         warnings.append(
@@ -380,6 +381,7 @@ class _Check:
         self.bounces, self.error, self.is_uniform, self.is_part = bounces, error, is_uniform, is_part
         self.guessed = 0.0  # RMS over the mean of the light that comes from beyond the map
         self.tail = 0.0  # 99.9th percentile of the error over the mean
+        self.found = 0.0  # RMS of the present light between surfaces over the mean of the direct light
         samples = bounces.samples
         self.sky, *self.direct = (_at(samples, image) for image in (sky, *direct))
         self.open = self.sky  # share of what is no ground; the walls of a dark box are none
@@ -414,9 +416,11 @@ class _Check:
         """
         totals, (light, sky) = self.bounces.total_at_samples(), self.bounces.at_samples(azimuths)
         worst, rms_errors = 0.0, []
-        self.guessed = self.tail = 0.0
+        self.guessed = self.tail = self.found = 0.0
         for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
             mean, first = self._lit_mean(total), self._lit_mean(direct)
+            if (light_first := self._mean(direct)) > 0:
+                self.found = max(self.found, math.sqrt(self._mean((total - direct) ** 2)) / light_first)
             if self.is_part:
                 more = sent * ((1 - self.sky) / np.maximum(1 - sky, LEAST_GROUND) - 1)
                 sent = sent + more
