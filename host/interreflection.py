@@ -344,6 +344,7 @@ def _choose_checked(
     seen, likely = _at(many, sky), np.zeros(len(many))
     for image, share in zip(direct, albedo):
         light = _at(many, image)
+        light = np.maximum(light, light.mean())  # ground around a node in shadow may be lit
         sent = _sent(light, seen, share[many.y, many.x] if np.ndim(share) else share) ** 2
         likely = np.maximum(likely, sent / max(float(sent.mean()), 1e-300))
     likely = (1 + likely / max(float(likely.mean()), 1e-300)) / 2 if likely.any() else np.ones(len(likely))
