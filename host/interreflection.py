@@ -177,15 +177,16 @@ def share_everywhere(
     scene: Scene,
     engine: Backend,
     direct: Sequence[np.ndarray | DeviceImage],
-    brightness: float | None,
+    brightness: Sequence[float] | None,
 ) -> float:
     """:func:`local_share` by many nodes, of the worst colour, once the direct light is known.
 
     Rare ground, as a hole in a plain, falls between the samples of a plan. ``brightness``: of a uniform sky,
-    which all of ``direct`` comes from; None for any other source.
+    which each of ``direct`` comes from; None for any other source.
     """
     samples, shares = samples_of(engine, scene, CHECKED), albedos(scene)
-    if not samples.relief > 0 or scene.sides == "dark":  # whose walls hide sky and send no light
+    dark = scene.sides == "dark"  # whose walls hide sky and send no light
+    if dark or not samples.relief > 0 or brightness is not None and not max(brightness) > 0:
         return 0.0
     samples = spread_more(samples, scene, CANDIDATES)
     lights = [_at(samples, image) for image in direct]
@@ -194,7 +195,8 @@ def share_everywhere(
         sweeps = Sweeps(engine, ground_of(scene, None, engine), Rays(sectors.angles, sectors.widths))
         sky = _at(samples, sweeps.image()) / math.pi
     else:
-        sky = lights[0] / (math.pi * brightness)
+        most = int(np.argmax(brightness))
+        sky = lights[most] / (math.pi * brightness[most])
     near = [_largest_near(share)[samples.y, samples.x] if np.ndim(share) else share for share in shares]
     count = max(len(lights), len(near))
     return max(local_share(lights[n % len(lights)], sky, near[n % len(near)]) for n in range(count))

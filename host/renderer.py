@@ -468,9 +468,7 @@ def _left_out(call: Renderer, direct: Sequence[Irradiance]) -> str:
     if call.share is None or is_needed(call.share, tolerance):
         return ""
     factors = numbers_of(call.greys) if _is_whole_sky(call) else None
-    call.share = max(
-        call.share, share_everywhere(scene, call.engine, direct, None if factors is None else factors[0])
-    )
+    call.share = max(call.share, share_everywhere(scene, call.engine, direct, factors))
     return "" if is_needed(call.share, tolerance) else reason(call.share, tolerance)
 
 

@@ -334,6 +334,21 @@ def test_light_in_a_hole_in_a_plain(fast, source):
         assert abs(out.interreflection.share / missing - 1) < 0.5
 
 
+def test_a_colour_without_light_decides_nothing(fast):
+    """The share of sky comes from the brightest colour; black skies have no light between surfaces."""
+    scene = sl.Scene(hole(64, (30, 30)), albedo=0.9)
+    ask = functools.partial(sl.render, tolerance=0.01, quantity="irradiance", backend=fast)
+    grey = ask(scene, sl.Sky())
+    assert grey.interreflection.included
+    out = ask(scene, sl.Sky((0.0, 0.5, 0.2)))
+    assert out.interreflection.included and out.interreflection.share == grey.interreflection.share
+    np.testing.assert_allclose(
+        out.image / grey.image[..., None], np.broadcast_to((0, 0.5, 0.2), (64, 64, 3)), rtol=1e-5
+    )
+    for black in (0.0, (0.0, 0.0, 0.0)):
+        assert not ask(scene, sl.Sky(black)).interreflection.included
+
+
 def test_a_thin_bright_wall_on_dark_ground(fast):
     """Nodes on its crest look up, and the dark ground sends nothing: 8 % were left out at 1 %."""
     x = np.arange(36)
