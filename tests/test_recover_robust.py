@@ -674,7 +674,7 @@ def test_no_time_for_light_between_surfaces_is_said(fast):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "x, sides, is_told", [(-20.0, "open", True), (-4.0, "open", False), (-20.0, "dark", False)]
+    "x, sides, is_told", [(-4.0, "open", True), (4.0, "open", False), (-20.0, "dark", False)]
 )
 def test_a_lamp_beside_the_map_is_told(x, sides, is_told):
     """Surfaces 5 nodes off explain its image, and std was 0.2."""
@@ -684,6 +684,60 @@ def test_a_lamp_beside_the_map_is_told(x, sides, is_told):
         found = sl.recover(np.full((32, 32), 0.02), lamp, 0.5, sides, **options)
         told = [text for text in found.warnings if text.startswith("Lamp beside the map: by ")]
         assert len(told) == is_told, found.warnings
+
+
+def wavy():
+    """A relief of 24 x 24 nodes, 3 to 13 deep, its lights, and their images in a dark box, albedo 0.3."""
+    y, x = np.mgrid[:24, :24]
+    lights = sl.Sky(), sl.Lamp(center=(12, 12, -12), radius=5)
+    scene = sl.Scene(8 + 5 * np.sin(x / 6) * np.cos(y / 7), albedo=0.3, sides="dark")
+    options = dict(interreflection=False, backend="numpy")
+    return lights, [sl.render(scene, light, **options).image for light in lights]
+
+
+@pytest.mark.parametrize(
+    "change, layers, told",
+    [
+        (lambda image: image, 24, None),
+        (lambda image: image, 12, "Depth limit: "),
+        (lambda image: np.minimum(image, np.percentile(image, 95)), 24, "Clipped: 5%"),
+    ],
+    ids=["right", "too shallow", "clipped"],
+)
+@pytest.mark.parametrize("number", [0, 1], ids=["sky", "lamp"])
+def test_what_std_does_not_include_is_told(fast, number, change, layers, told):
+    """Errors of 0.4 to 1.8 nodes with a confidence of 0.95 to 1 had no warning."""
+    light, image = (part[number] for part in wavy())
+    options = dict(interreflection=False, backend=fast)
+    found = sl.recover(change(image), light, 0.3, "dark", layers=layers, **options)
+    said = [text for text in found.warnings if text.startswith(("Depth limit", "Clipped"))]
+    assert [text.startswith(told or "") for text in said] == [True] * (told is not None), found.warnings
+
+
+def test_level_ground_is_not_clipped(fast):
+    """Its pixels have one value, as has open ground beside a house."""
+    depth = np.full((20, 20), 6.0)
+    depth[5:11, 6:15] = 3
+    options = dict(interreflection=False, backend=fast)
+    image = sl.render(sl.Scene(depth, albedo=0.3), sl.Sky(2.0), **options).image
+    found = sl.recover(image, sl.Sky(2.0), 0.3, layers=8, max_seconds=1e-6, **options)
+    assert not any(text.startswith("Clipped") for text in found.warnings)
+
+
+def test_every_image_is_judged(fast):
+    """The first alone was: the second in counts had no warning."""
+    lights, (sky, lamp) = wavy()
+    options = dict(layers=24, interreflection=False, max_seconds=2, backend=fast)
+    for swap in (1, -1):
+        images, order = [sky, 255 * lamp / lamp.max()][::swap], lights[::swap]
+        found = sl.recover(images, order, 0.3, "dark", **options)
+        name = f"image {2 if swap == 1 else 1}"
+        assert any(f"model and {name} differ" in text for text in found.warnings), found.warnings
+
+
+def test_a_masked_array_is_refused_with_advice():
+    with pytest.raises(sl.InputError, match="an image without gaps"):
+        sl.recover(np.ma.masked_array(np.ones((4, 4)), False), sl.Sky(), 0.3)
 
 
 def test_coordinates_that_are_not_the_spacing_are_told(fast):

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from .. import sources
+from ..images import number_of
 from ..scene import Scene
+from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
-# share of the map's shorter side from which on a lamp stands beside the map. Measured: of two surfaces of
-# 32 x 32 nodes, under lamps 0.16 of it away depths err by 0.02 and 0.09 nodes (RMS); 0.31 away by 1.3 and
-# 5.1, with std of 3.9 and 2.3; 0.6 away by 5.6 and 7.3, with std of 0.2
-BESIDE = 0.2
+# share and number of the pixels that lie at the greatest or least depth allowed, or have an image's largest
+# value, from which on there is a warning. Chosen: surfaces of 24 x 24 nodes whose deepest 0.7 to 3 % are
+# beyond `layers` err by 0.7 to 1.8 nodes (RMS), images of which 5 % are clipped by 0.4
+AT_LIMIT, LEAST_AT_LIMIT = 0.005, 3
+# times as many pixels as have the next largest value: those of an image in steps are about as many
+CLIPPED = 3
+LEVEL = 1e-3  # relative difference up to which the largest value is that of level open ground; chosen
 NO_TIME = (
     "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
     " it, depth is farther off than std says."
@@ -54,11 +60,16 @@ RIM_PART, RIM_RATIO = 8, 2
 
 
 def of_images(
-    images: Sequence[np.ndarray], lights: Sequence[sources.Source], scene: Scene, deepest: float
+    images: Sequence[np.ndarray],
+    lights: Sequence[sources.Source],
+    scene: Scene,
+    albedo_given: bool,
+    deepest: float,
 ) -> list[str]:
     """Warnings that follow from the images alone; lights in nodes, ``deepest`` [nodes]."""
     warnings = of_place(scene.sides, lights)
-    for image in images:
+    for image, light in zip(images, lights):
+        warnings += of_largest(image, light, scene.albedo if albedo_given else None)
         values = np.unique(image)
         if 2 < len(values) <= EIGHT_BITS < image.size:
             step = float(np.median(np.diff(values)))
@@ -85,7 +96,7 @@ def of_images(
 
 
 def _beside(light: sources.Source, shape: tuple[int, ...]) -> float:
-    """How far [nodes] the middle of a lamp stands beside the map; 0 up to BESIDE of its side."""
+    """How far [nodes] the middle of a lamp stands beside the map."""
     if not isinstance(light, sources.Lamp):
         return 0.0
     middle = light.center
@@ -94,25 +105,57 @@ def _beside(light: sources.Source, shape: tuple[int, ...]) -> float:
     if middle is None:
         return 0.0
     beyond = [max(-at, at - (n - 1), 0.0) for at, n in zip(middle, shape[::-1])]
-    away = math.hypot(*beyond)
-    return away if away > BESIDE * min(shape) else 0.0
+    return math.hypot(*beyond)
 
 
-def of_residual(pyramid: Pyramid, residual: np.ndarray) -> list[str]:
-    """Warnings that follow from the residual of the first image, in the unit of the pyramid."""
+def of_largest(image: np.ndarray, light: sources.Source, albedo: Any) -> list[str]:
+    """Warning that an image seems to be clipped: many pixels have its largest value, few the next.
+
+    Level open ground under a sky may have it.
+    """
+    values, counts = np.unique(image, return_counts=True)
+    many = counts[-1] >= max(LEAST_AT_LIMIT, 2 * AT_LIMIT * image.size)
+    if len(values) < 3 or not many or counts[-1] < CLIPPED * counts[-2]:
+        return []
+    if isinstance(light, sources.Sky):
+        if np.ndim(albedo) or albedo is None:
+            return []
+        level = integrals(light).level if callable(light.brightness) else math.pi * number_of(light)
+        if abs(values[-1] - float(albedo) * level / math.pi) <= LEVEL * values[-1]:
+            return []
+    return [
+        f"Clipped: {counts[-1] / image.size:.0%} of the pixels have exactly the image's largest value, and"
+        " depth is wrong around highlights that are cut off; std does not include that."
+    ]
+
+
+def of_limits(z: np.ndarray, low: np.ndarray, high: np.ndarray) -> list[str]:
+    """Warnings that many pixels lie at the greatest or the least depth that is allowed."""
+    warnings = []
+    for there, what, name in ((z >= high, "greatest", "layers= or far="), (z <= low, "least", "near=")):
+        if there.sum() >= max(LEAST_AT_LIMIT, AT_LIMIT * z.size):
+            warnings.append(
+                f"Depth limit: {there.mean():.1%} of the pixels lie at the {what} depth that {name} allows."
+                " If the surface goes on beyond it, depth around them is wrong, and std does not say so."
+            )
+    return warnings
+
+
+def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") -> list[str]:
+    """Warnings that follow from the residual of an image, in the unit of the pyramid; ``image``: its name."""
     warnings = []
     rms = math.sqrt(float(np.mean(residual**2))) / IMAGE_RMS
     too_bright = (residual < -TOO_BRIGHT * IMAGE_RMS) & (residual < -DEVIATIONS * pyramid.noise)
     if too_bright.mean() > TOO_MANY:
         warnings.append(
-            f"Image brighter than the model can make it at {too_bright.mean():.0%} of the pixels: a larger"
-            " albedo or brightness, or other sides, may be right."
+            f"{image.capitalize()} brighter than the model can make it at {too_bright.mean():.0%} of the"
+            " pixels: a larger albedo or brightness, or other sides, may be right."
         )
     if rms > POORLY + NOISE_DEVIATIONS * pyramid.noise / IMAGE_RMS:
         why = "; check sides, albedo and source; or the relief is finer than the resolution."
         if _worse_at_rim(residual):
             why = f", mostly near the border: check the sides (sides={pyramid.sides!r} was given)."
-        warnings.append(f"Poorly explained: model and image differ by {rms:.0%} of the image (rms){why}")
+        warnings.append(f"Poorly explained: model and {image} differ by {rms:.0%} of the image (rms){why}")
     return warnings
 
 

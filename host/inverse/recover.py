@@ -221,6 +221,8 @@ def _checked(
 
 
 def _radiance(values: Any) -> np.ndarray:
+    if isinstance(values, np.ma.MaskedArray):
+        raise bad("image: a numpy masked array", "gaps", "an image without gaps", "Cut it, or fill them.")
     image = as_real(values, "image")
     if image.dtype in (np.uint8, np.uint16):
         raise bad(
@@ -377,7 +379,9 @@ def _answer(
     """
     scene, levels, was_cut = given.scene, list[Level](), True
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
-    warnings = diagnostics.of_images(given.images, lights, scene, float(limits.high.max()))
+    warnings = diagnostics.of_images(
+        given.images, lights, scene, given.albedo_given, float(limits.high.max())
+    )
     albedo = scene.albedo if given.albedo_given else None
     bounds = np.maximum(limits.low, NEAREST), limits.high
     pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, direct is not None)
@@ -430,7 +434,10 @@ def _recovery(
             for own, other in ((z, judged.refit.depth), (residuals, np.array(judged.refit.residuals)))
         )
         levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), spent())]
-    warnings = [*answer.warnings, *diagnostics.of_residual(pyramid, residuals[0])]
+    warnings = [*answer.warnings, *diagnostics.of_limits(z, low, high)]
+    for number, residual in enumerate(residuals, 1):
+        name = f"image {number}" if len(residuals) > 1 else "image"
+        warnings += diagnostics.of_residual(pyramid, residual, name)
     warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
     warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given)
 

@@ -247,22 +247,44 @@ def _leak(problem: Problem, cube: Hemicube) -> list[str]:
     return []
 
 
+def _as_ball(scene: Scene, source: sources.Source) -> tuple[np.ndarray, float] | None:
+    """(Middle, radius) of a sphere, or of one as large as a volume or as wide as a window; None of others."""
+    volume, step = None, scene.spacing
+    if isinstance(source, sources.Lamp) and source.volume is not None:
+        volume = np.asarray(source.volume)
+    elif isinstance(source, sources.Lamp) and source.center is not None and source.radius is not None:
+        return np.array(source.center, float), source.radius
+    elif isinstance(source, sources.Window) and source.aperture is not None:
+        volume = source.aperture[None]
+    elif isinstance(source, sources.Window) and source.x is not None and source.y is not None:
+        sides = np.array([source.x, source.y], float)
+        return np.append(sides.mean(1), 0.0), math.sqrt(float(np.prod(np.diff(sides, axis=1))) / math.pi)
+    if volume is None or not volume.any():
+        return None
+    middle = step * np.argwhere(volume).mean(0)[::-1]
+    count = int(volume.sum())
+    flat = isinstance(source, sources.Window)
+    return middle, step * (math.sqrt(count / math.pi) if flat else (3 * count / (4 * math.pi)) ** (1 / 3))
+
+
 def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[str]:
-    """A warning where a sphere is narrower than the gaps between directions."""
-    if not isinstance(source, sources.Lamp) or source.center is None or source.radius is None:
+    """A warning where a lamp or window is narrower than the gaps between directions."""
+    ball = _as_ball(scene, source)
+    if ball is None:
         return []
     rows, cols = scene.shape
-    x, y, z = source.center
+    (x, y, z), radius = ball
     far = np.sqrt(
         (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
         + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
         + (scene.deepest - z) ** 2
     )
     spacing = np.sqrt(2 * np.pi / len(cube))
-    apparent = 2 * np.arcsin(min(1.0, source.radius / far))
+    apparent = 2 * np.arcsin(min(1.0, radius / far))
     if apparent < 2 * spacing:
+        what = "window" if isinstance(source, sources.Window) else "lamp"
         return [
-            f"Small lamp: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
+            f"Small {what}: from the farthest ground it is {np.degrees(apparent):.1f} degrees wide and the"
             f" directions are {np.degrees(spacing):.1f} degrees apart, so few or no directions of some nodes"
             " meet it; use a larger hemicube."
         ]

@@ -280,12 +280,51 @@ def _quadrangle(
     corners, x, y, height = np.asarray(quad.corners, np.float32) * unit, x * unit, y * unit, height * unit
     rays = [(c[0] - x, c[1] - y, c[2] - height) for c in corners]
     for a, b in zip(rays, rays[1:] + rays[:1]):
-        edge = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-        size = np.sqrt(edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2)
-        angle = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-        light += angle / np.maximum(size, 1e-30) * (edge[0] * gx + edge[1] * gy + edge[2])
+        light += _of_edge(a, b, (gx, gy, 1))
     whole: np.ndarray = np.abs(light) * (up / 2)
+    above = [a[0] * gx + a[1] * gy + a[2] for a in rays]
+    cut = np.flatnonzero((np.minimum.reduce(above) < 0).ravel())
+    if cut.size:
+        shape = whole.shape
+        ends = [[np.broadcast_to(v, shape).ravel()[cut].astype(float) for v in ray] for ray in rays]
+        normal = [np.broadcast_to(v, shape).ravel()[cut].astype(float) for v in (gx, gy, 1.0)]
+        part = np.abs(_above_plane(np.array(ends), np.array(normal)))
+        whole = whole.copy()
+        whole.ravel()[cut] = part * np.broadcast_to(up, shape).ravel()[cut] / 2
     return whole
+
+
+def _of_edge(a: Any, b: Any, normal: Any) -> Values:
+    """A polygon's edge from a to b in Lambert's sum: twice the irradiance, times the length of ``normal``."""
+    edge = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    size = np.sqrt(edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2)
+    angle = np.arctan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    light: Values = (
+        angle / np.maximum(size, 1e-30) * (edge[0] * normal[0] + edge[1] * normal[1] + edge[2] * normal[2])
+    )
+    return light
+
+
+def _above_plane(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Lambert's sum (nodes,) over the part of quadrangles (4, 3, nodes) above planes through the origin.
+
+    A convex polygon enters and leaves the half-space once; the edge between these places lies in the plane.
+    """
+    high = (corners * normal).sum(1)
+    light = np.zeros(corners.shape[2])
+    enters, leaves = np.zeros((2, 3, corners.shape[2]))
+    for i in range(4):
+        (a, b), (low, up) = corners[[i, (i + 1) % 4]], high[[i, (i + 1) % 4]]
+        crosses = (low < 0) != (up < 0)
+        meets = a + (b - a) * np.where(crosses, low / np.where(crosses, low - up, 1), 0)
+        first, last = np.where(low < 0, meets, a), np.where(up < 0, meets, b)
+        light += np.where((low < 0) & (up < 0), 0, _of_edge(first, last, normal))
+        enters, leaves = (
+            np.where(crosses & (low < 0), meets, enters),
+            np.where(crosses & (up < 0), meets, leaves),
+        )
+    light += _of_edge(leaves, enters, normal)
+    return light
 
 
 def _rays(

@@ -14,6 +14,13 @@ from ..sources.integrals import Integrals, integrals
 from .base import UnitsPlanner, uniform_light
 from .plan import Choice
 
+# what is known of the error under lamps given as volumes: RMS over the mean, by shadow rays to cubes at the
+# nodes that shine, on two maps of 20 x 22 nodes, tolerance 1 %: 6 and 48 % of a box 6 nodes thick, over
+# smooth ground and on blocks that it touches, 35 and 44 % of a rod, 72 to 109 % of a sheet, a row, one node
+VOLUME_ERRORS = (
+    "under lamps 6 nodes thick it was 6 to 48 % (RMS over the mean), under thinner ones 35 to 110 %"
+)
+
 
 class LatticePlanner(UnitsPlanner):
     """What horizons cannot render: lattice directions, filled."""
@@ -26,17 +33,16 @@ class LatticePlanner(UnitsPlanner):
         self.why = lacking(scene, source)
         if isinstance(source, sources.Lamp):  # a volume: nothing but the lattice knows it
             known = lattice.HEMICUBE_ERRORS
-            self.unknown = (
-                f"{self.why}; its error was not measured, on rough ground under a sky it is"
-                f" {min(known.values())} to {max(known.values())} of pi"
-            )
+            self.unknown = f"{self.why}; {VOLUME_ERRORS}"
             fitting = (size for size, error in known.items() if error <= self.tolerance)
             self.units = next(fitting, max(known))
             assert source.volume is not None, "slices serve every other lamp"
-            layers, passed = int(np.asarray(source.volume).any((1, 2)).sum()), self.units // 2
-            if layers < passed:
+            volume = np.asarray(source.volume)
+            volume = volume & (scene.spacing * np.arange(len(volume))[:, None, None] < scene.depth)
+            thin = min(int(volume.any(others).sum()) for others in ((1, 2), (0, 2), (0, 1)))
+            if thin < (passed := self.units // 2):
                 self.unknown += (
-                    f"; rays step over up to {passed} layers, so that a lamp of {layers} loses light: give it"
+                    f"; rays step over up to {passed} nodes, so that a lamp {thin} thick loses light: give it"
                     " as a sphere or a rectangle"
                 )
             return
