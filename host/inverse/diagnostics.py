@@ -63,8 +63,8 @@ def of_images(
     images: Sequence[np.ndarray],
     lights: Sequence[sources.Source],
     scene: Scene,
-    albedo_given: bool,
     deepest: float,
+    albedo_given: bool = True,
 ) -> list[str]:
     """Warnings that follow from the images alone; lights in nodes, ``deepest`` [nodes]."""
     warnings = of_place(scene.sides, lights)

@@ -380,7 +380,7 @@ def _answer(
     scene, levels, was_cut = given.scene, list[Level](), True
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
     warnings = diagnostics.of_images(
-        given.images, lights, scene, given.albedo_given, float(limits.high.max())
+        given.images, lights, scene, float(limits.high.max()), given.albedo_given
     )
     albedo = scene.albedo if given.albedo_given else None
     bounds = np.maximum(limits.low, NEAREST), limits.high

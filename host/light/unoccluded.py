@@ -288,7 +288,7 @@ def _quadrangle(
         shape = whole.shape
         ends = [[np.broadcast_to(v, shape).ravel()[cut].astype(float) for v in ray] for ray in rays]
         normal = [np.broadcast_to(v, shape).ravel()[cut].astype(float) for v in (gx, gy, 1.0)]
-        part = np.abs(_above_plane(np.array(ends), np.array(normal)))
+        part = np.abs(_clipped(np.array(ends), np.array(normal)))
         whole = whole.copy()
         whole.ravel()[cut] = part * np.broadcast_to(up, shape).ravel()[cut] / 2
     return whole
@@ -305,7 +305,7 @@ def _of_edge(a: Any, b: Any, normal: Any) -> Values:
     return light
 
 
-def _above_plane(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _clipped(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Lambert's sum (nodes,) over the part of quadrangles (4, 3, nodes) above planes through the origin.
 
     A convex polygon enters and leaves the half-space once; the edge between these places lies in the plane.
