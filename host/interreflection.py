@@ -21,7 +21,7 @@ from .errors import bad
 from .light.horizon import OFFSET
 from .light.interreflection import Bounces, Round
 from .light.sweeps import Rays, Sweeps, ground_of
-from .samples import ESTIMATE_SHARE, Samples, errors, picked, samples_of, spread_more, without_walls
+from .samples import ESTIMATE_SHARE, Samples, errors, lit_mean, picked, samples_of, spread_more, without_walls
 from .scene import Scene
 from .sources.integrals import even
 
@@ -421,7 +421,7 @@ class _Check:
         worst, rms_errors = 0.0, []
         self.guessed = self.tail = self.found = 0.0
         for total, direct, share, sent in zip(totals, self.direct, self.albedo, light):
-            mean, first = self._lit_mean(total), self._lit_mean(direct)
+            mean, first = lit_mean(total, self.weights), lit_mean(direct, self.weights)
             if (light_first := self._mean(direct)) > 0:
                 self.found = max(self.found, math.sqrt(self._mean((total - direct) ** 2)) / light_first)
             if self.is_part:
@@ -445,11 +445,6 @@ class _Check:
     def _mean(self, values: np.ndarray) -> float:
         """Over all nodes, by those that are checked."""
         return float(np.average(values, weights=self.weights))
-
-    def _lit_mean(self, values: np.ndarray) -> float:
-        """The same where there is light, 0 where there is none."""
-        lit = values > 0
-        return float(np.average(values[lit], weights=self.weights[lit])) if lit.any() else 0.0
 
 
 def _at(samples: Samples, image: np.ndarray | DeviceImage) -> np.ndarray:

@@ -631,8 +631,7 @@ def _refined_lobes(
     """A source in a lobe: (rows, cols) float32 of every colour, each by as many slices as it takes."""
     scene, factors = call.scene, numbers_of(call.greys)
     assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
-    of_map = np.ones(scene.shape, bool) if scene.mask is None else scene.mask
-    matte = np.array([np.asarray(light)[of_map].mean() / np.pi for light in irradiances] or [0.0])
+    matte = np.array([np.asarray(light)[scene.valid].mean() / np.pi for light in irradiances] or [0.0])
     matte, specular = np.broadcast_arrays(
         matte * _by_colour(scene.albedo, np.mean), _by_colour(scene.reflectance.specular, np.max)
     )
@@ -659,14 +658,13 @@ def _refined_lobe(
     difference over sqrt(1 + r^2) for r times as many slices.
     """
     scene, tolerance = call.scene, float(call.options.tolerance)
-    of_map = np.ones(scene.shape, bool) if scene.mask is None else scene.mask
     before, off, said = LOBE_FINENESS[0], math.inf, len(call.warnings)
     image = lobe_of(grey, before)
     for fineness in LOBE_FINENESS[1:]:
         del call.warnings[said:]  # of slices that finer ones take the place of
         coarse, image = image, lobe_of(grey, fineness)
-        mean = np.maximum(matte + specular * float(image[of_map].mean()), 1e-300)
-        rms = math.sqrt(float(np.mean((image - coarse)[of_map] ** 2))) / math.hypot(1, fineness / before)
+        mean = np.maximum(matte + specular * float(image[scene.valid].mean()), 1e-300)
+        rms = math.sqrt(float(np.mean((image - coarse)[scene.valid] ** 2))) / math.hypot(1, fineness / before)
         off = float(np.max(specular * rms / mean))
         if off <= tolerance:
             return image

@@ -54,10 +54,11 @@ class Errors(NamedTuple):
     tail: float
 
 
-def lit_mean(values: np.ndarray) -> float:
+def lit_mean(values: np.ndarray, weights: np.ndarray | None = None) -> float:
     """Mean where there is light, 0 where there is none."""
-    lit = values[values > 0]
-    return float(lit.mean()) if lit.size else 0.0
+    lit = values > 0
+    some = None if weights is None else weights[lit]
+    return float(np.average(values[lit], weights=some)) if lit.any() else 0.0
 
 
 def errors(image: np.ndarray, exact: np.ndarray, least: float = 0.0) -> Errors:
@@ -378,7 +379,7 @@ def spread_more(samples: Samples, scene: Scene, count: int) -> Samples:
     """The samples with ``count`` nodes of which only the places are known: for :func:`picked` and
     :meth:`Samples.of` alone.
     """
-    derived, key = samples.there.derived, ("nodes", count)
+    derived, key = samples.there.derived, ("nodes", samples.first, count)
     if key not in derived:
         derived[key] = _sequence_nodes(scene, count, samples.first)
     many = copy.copy(samples)

@@ -27,7 +27,6 @@ from ..backends import select
 from ..errors import CapacityError, InputError, bad, lacking
 from ..horizon import as_azimuths, mean_openness, sky_view
 from ..io import geotiff as geo
-from ..io import writable
 from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
@@ -187,7 +186,6 @@ def write_quantity(
     if machines.workers > 1 and machines.scheduler is not None:
         raise bad("--workers with --scheduler", machines.workers, "one of the two", "A cluster has its own.")
     header = geo.header(file)
-    writable(out)
     scratch = Path(out).absolute().with_name(Path(out).name + ".scratch")  # workers have another folder
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     with locked(scratch):
@@ -411,12 +409,10 @@ def locked(scratch: Path) -> Iterator[None]:
     try:
         lock.acquire(blocking=False)
     except (filelock.Timeout, OSError) as error:
-        if not Path(lock.lock_file).exists():
-            what, got, allowed, advice = scratch.parent, f"no new file there ({error})", "one to write in", ""
-        else:
-            what, got, allowed = scratch, "a scratch that another run writes", "one run at a time"
-            advice = "Wait for it."
-        raise bad(f"--out: {what}", got, allowed, advice) from None
+        if isinstance(error, filelock.Timeout) and Path(lock.lock_file).exists():
+            allowed, advice = "one run at a time", "Wait for it."
+            raise bad(f"--out: {scratch}", "a scratch that another run writes", allowed, advice) from None
+        raise bad(f"--out: {scratch.parent}", f"no new file there ({error})", "one to write in") from None
     try:
         yield
     finally:

@@ -16,12 +16,12 @@ from .confidence import UNTRUSTED
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
-# share and number of the pixels that lie at the greatest or least depth allowed, or have an image's largest
-# value, from which on there is a warning. Chosen: surfaces of 24 x 24 nodes whose deepest 0.7 to 3 % are
-# beyond `layers` err by 0.7 to 1.8 nodes (RMS), images of which 5 % are clipped by 0.4
+# share and number of the pixels at the greatest or least depth allowed from which on there is a warning.
+# Chosen: surfaces of 24 x 24 nodes whose deepest 0.7 to 3 % are beyond `layers` err by 0.7 to 1.8 nodes (RMS)
 AT_LIMIT, LEAST_AT_LIMIT = 0.005, 3
-# times as many pixels as have the next largest value: those of an image in steps are about as many
-CLIPPED = 3
+# the same of pixels with an image's largest value, and times as many as have the next largest: in an image in
+# steps these are about as many. Chosen: depths from images of which 5 % are clipped err by 0.4 nodes
+CLIPPED_SHARE, LEAST_CLIPPED, CLIPPED_TIMES = 0.01, 3, 3
 LEVEL = 1e-3  # relative difference up to which the largest value is that of level open ground; chosen
 NO_TIME = (
     "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
@@ -114,8 +114,8 @@ def of_largest(image: np.ndarray, light: sources.Source, albedo: Any) -> list[st
     Level open ground under a sky may have it.
     """
     values, counts = np.unique(image, return_counts=True)
-    many = counts[-1] >= max(LEAST_AT_LIMIT, 2 * AT_LIMIT * image.size)
-    if len(values) < 3 or not many or counts[-1] < CLIPPED * counts[-2]:
+    many = counts[-1] >= max(LEAST_CLIPPED, CLIPPED_SHARE * image.size)
+    if len(values) < 3 or not many or counts[-1] < CLIPPED_TIMES * counts[-2]:
         return []
     if isinstance(light, sources.Sky):
         if np.ndim(albedo) or albedo is None:

@@ -289,8 +289,9 @@ def _quadrangle(
         ends = [[np.broadcast_to(v, shape).ravel()[cut].astype(float) for v in ray] for ray in rays]
         normal = [np.broadcast_to(v, shape).ravel()[cut].astype(float) for v in (gx, gy, 1.0)]
         part = np.abs(_clipped(np.array(ends), np.array(normal)))
-        whole = whole.copy()
-        whole.ravel()[cut] = part * np.broadcast_to(up, shape).ravel()[cut] / 2
+        flat = whole.ravel()
+        flat[cut] = part * np.broadcast_to(up, shape).ravel()[cut] / 2
+        whole = flat.reshape(shape)
     return whole
 
 
