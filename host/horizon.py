@@ -229,7 +229,8 @@ def openness(
     if negative:
         turned = _upside_down(scene)
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
-    work = partial(mean_openness, azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
+    how: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
+    work = partial(mean_openness, upside_down=bool(negative), **how)
     with limited(max_seconds, "openness", scene, backend):
         angles: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
     return angles
@@ -244,8 +245,12 @@ def mean_openness(
     azimuths: Azimuths,
     backend: str,
     axes: tuple[float, float] = (1.0, 1.0),
+    upside_down: bool = False,
 ) -> Any:
+    """The mean angle from the zenith; ``upside_down``: from the nadir, of a map that is turned."""
     engine = engine_of(scene, backend)
+    if far is not None and upside_down:  # what falls off with the Earth rises
+        far = far._replace(drop=-far.drop)
     with engine.lock:
         ground, rays = ground_of(scene, max_distance, engine), _rays(azimuths, axes)
         sweeps = Sweeps(engine, ground, rays, near=FINE_NEAR_ROWS, far=far, angles=True)

@@ -251,10 +251,16 @@ def _first_level(share: float, tolerance: float) -> int:
     return 0 if share <= FIRST_LEVEL * tolerance else 1
 
 
-def sky_share(scene: Scene, engine: Backend, tolerance: float, has_cliffs: bool = False) -> DeviceImage:
+def sky_share(
+    scene: Scene,
+    engine: Backend,
+    tolerance: float,
+    has_cliffs: bool = False,
+    max_distance: float | None = None,
+) -> DeviceImage:
     """Cosine-weighted share of the sky visible from every node, by a sweep."""
     sectors = even(_azimuths((CLIFF_SKY_ERROR if has_cliffs else SKY_ERROR) * tolerance), OFFSET)
-    ground = ground_of(scene, None, engine)
+    ground = ground_of(scene, max_distance, engine)
     near = FINE_NEAR if has_cliffs else None
     sweeps = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths), near=near)
     image = sweeps.image()
@@ -277,6 +283,7 @@ def included(
     sky: np.ndarray | DeviceImage | None = None,
     is_part: bool = False,
     tail: float | None = None,
+    max_distance: float | None = None,
 ) -> Included:
     """All light within the tolerance, from the direct light of each colour.
 
@@ -284,13 +291,15 @@ def included(
     mean; ``sky``: share of sky at every node, if ``direct`` is proportional to it. ``is_part``:
     ``sky`` is that of a part of a map, beyond which ground hides sky too. That ground
     counts as being as bright as the ground that is visible within the part. ``tail``: bound of the 99.9th
-    percentile of the error over the mean, beyond which there is a warning.
+    percentile of the error over the mean, beyond which there is a warning. ``max_distance`` [unit of
+    spacing]: ground farther away hides no sky, so that what a node gets from ground is so much less.
     """
     samples = samples_of(engine, scene, CHECKED)
     # walls of a dark box are no ground, so that strips tell nothing of the direct light's error
     is_uniform = sky is not None and not is_part and scene.sides != "dark"
+    is_part = is_part or max_distance is not None
     has_cliffs = CLIFF_ERROR * math.sqrt(samples.cliffs) > CLIFF_SHARE * tolerance
-    sky = sky_share(scene, engine, tolerance, has_cliffs) if sky is None else sky
+    sky = sky_share(scene, engine, tolerance, has_cliffs, max_distance) if sky is None else sky
     shares = albedos(scene)
     count = max(len(direct), len(shares))
     lights, shares = ([values[n % len(values)] for n in range(count)] for values in (direct, shares))

@@ -10,7 +10,7 @@ outgoing) = f(outgoing, incoming).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -273,9 +273,12 @@ def share(values: Any, what: str) -> float | np.ndarray:
     return array
 
 
-def fit(reflectance: Reflectance, shape: tuple[int, int], mask: np.ndarray | None) -> None:
-    """InputError unless the maps of ``reflectance`` fit a scene of this shape and are bounded where valid."""
+def fitted(reflectance: Reflectance, shape: tuple[int, int], mask: np.ndarray | None) -> Reflectance:
+    """``reflectance`` for a scene of this shape: the same, but with shares of 0 for what is no share where
+    masked. InputError unless its maps fit and are bounded where valid.
+    """
     total: np.ndarray = np.zeros(())
+    blanked: dict[str, Any] = {}
     for name in ("albedo", "specular"):
         values = np.asarray(getattr(reflectance, name, 0.0), float)
         if values.ndim >= 2 and values.shape[:2] != shape:
@@ -283,12 +286,16 @@ def fit(reflectance: Reflectance, shape: tuple[int, int], mask: np.ndarray | Non
             raise bad(f"{name}: wrong shape", values.shape, allowed)
         wrong = ~((values >= 0) & (values <= 1))
         if values.ndim >= 2 and mask is not None:
-            wrong &= mask if values.ndim == 2 else mask[..., None]
+            valid = mask if values.ndim == 2 else mask[..., None]
+            if (wrong & ~valid).any():
+                values = blanked[name] = np.where(valid, values, 0.0)
+            wrong &= valid
         if wrong.any():
             where = f" {at(wrong)}" if values.ndim >= 2 else ""
             raise bad(f"{name}: out of range{where}", values[wrong].flat[0], "finite, 0 to 1")
         total = total + (values if values.ndim in (0, 1, 3) else values[..., None])
     bounded(np.where(mask[..., None], total, 0.0) if total.ndim == 3 and mask is not None else total)
+    return replace(reflectance, **blanked) if blanked else reflectance
 
 
 def bounded(total: float | np.ndarray) -> None:

@@ -229,10 +229,15 @@ def _beyond_reach(lamp: sources.Lamp, reach: float | None) -> list[str]:
     if reach is None or lamp.radius is None:
         return []
     return [
-        f"Reach: nodes more than {reach:g} from the lamp along rows or columns get none of its light; that"
-        f" would be an irradiance of up to {math.pi * min(1.0, lamp.radius / reach) ** 2:.2g} times its"
-        " brightness."
+        f"Reach: nodes more than {reach:g} from the lamp along rows or columns get none of its light, and"
+        " those within get none that these would reflect; that would be a direct irradiance of up to"
+        f" {math.pi * min(1.0, lamp.radius / reach) ** 2:.2g} times its brightness."
     ]
+
+
+def colours_first(image: np.ndarray) -> np.ndarray:
+    """(3, rows, cols) of an image (rows, cols, 3), or of one that is the same in all colours."""
+    return np.broadcast_to(image, (3, *image.shape)) if image.ndim == 2 else np.moveaxis(image, -1, 0)
 
 
 @dataclass(frozen=True)
@@ -259,9 +264,7 @@ class LampImage:
         for text in done.warnings:
             warn(text)
         image = np.asarray(done.image)
-        if not self.in_colour:
-            return image
-        return np.broadcast_to(image, (3, *image.shape)) if image.ndim == 2 else np.moveaxis(image, -1, 0)
+        return colours_first(image) if self.in_colour else image
 
 
 @dataclass(frozen=True)
@@ -315,7 +318,7 @@ class TileImage:
         if self.scale != 1:
             light = [image * np.float32(self.scale) for image in light]
         image = image_of(scene, light, [], self.quantity)
-        return np.moveaxis(image, -1, 0)[part] if self.in_colour else image
+        return colours_first(image)[part] if self.in_colour else image
 
     def _coloured(self, light: list[np.ndarray]) -> list[np.ndarray]:
         """The light of every colour of the source."""
@@ -338,6 +341,8 @@ class TileImage:
             return
         samples, share = Samples(engine, scene, AUDITED), 0.0
         inner = np.full(len(samples), True) if far is None else within_tile(samples, far)
+        if not inner.any():
+            return
         plane = samples.gx[inner], samples.gy[inner]
         for (rays, table), image in zip(self.judging, images):
             if far is None:

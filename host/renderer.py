@@ -413,7 +413,8 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
     why = "as asked"
     if options.interreflection == "auto":
         why = reason(call.share, tolerance)
-    both = included(scene, call.engine, lights, tolerance, why, error, sky, tail=options.tail)
+    within: dict[str, Any] = dict(tail=options.tail, max_distance=options.max_distance)
+    both = included(scene, call.engine, lights, tolerance, why, error, sky, **within)
     call.interreflection = both.record
     call.warnings.extend(both.warnings)
     if call.planned:

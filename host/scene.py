@@ -33,7 +33,7 @@ from .backends.resident import Resident
 from .checks import as_real, at, one_of, positive_number
 from .constants import SIDES
 from .errors import InputError, bad
-from .reflectance import Lambertian, Reflectance, fit
+from .reflectance import Lambertian, Reflectance, fitted
 
 ALBEDO = 0.8
 STEEPEST = 1e15  # spacings of depth, so that squares of slopes stay in float32
@@ -499,9 +499,7 @@ def _reflectance(
             "one of them",
             "The diffuse albedo is an argument of the reflectance.",
         )
-    surface: Reflectance = given
-    fit(surface, shape, mask)
-    return surface
+    return fitted(given, shape, mask)
 
 
 def _lattice(

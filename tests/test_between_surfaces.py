@@ -361,3 +361,17 @@ def test_a_thin_bright_wall_on_dark_ground(fast):
     out = sl.render(scene, sl.Sky(), tolerance=0.01, quantity="irradiance", backend=fast)
     assert out.interreflection.included
     assert np.sqrt(np.mean((out.image - exact) ** 2)) < 0.01 * exact.mean()
+
+
+def test_no_node_gets_more_than_all_light_within_a_distance(fast):
+    """The bottom of a white pit whose walls are farther than max_distance sees the sky instead, not both."""
+    y, x = np.mgrid[-40:40, -40:40]
+    pit = np.clip(1.5 * (np.hypot(y, x) - 10), 0, 60)
+    scene = sl.Scene.from_height(pit, albedo=0.95)
+    how = dict(backend=fast, quantity="irradiance", interreflection=True)
+    limited = sl.render(scene, sl.Sky(), "horizon", max_distance=5.0, **how).image / np.pi
+    assert limited.max() < 1.005 and limited[40, 40] > 0.99
+    far = sl.render(scene, sl.Sky(), "horizon", **how).image / np.pi
+    enough = sl.render(scene, sl.Sky(), "horizon", max_distance=200.0, **how).image / np.pi
+    assert far[40, 40] < 0.95
+    assert error(enough, far) < 0.01

@@ -121,6 +121,11 @@ SOURCES = {
         lambda: sl.environment_map([[1, np.nan]]),
         ["environment_map: values", "finite: False"],
     ),
+    "environment brighter than floats": (
+        lambda: sl.environment_map(np.full((2, 4), 1e35)),
+        ["environment_map: values", "at most 1e+30"],
+    ),
+    "type of a sky in a list": (lambda: sl.cie_sky([12], (180, 30)), ["cie_sky: type", "[12]"]),
     "environment of nan": (
         lambda: sl.environment_map(np.full((2, 4), np.nan)),
         ["environment_map: values", "nan to nan"],

@@ -471,3 +471,16 @@ def test_bright_parts_have_sectors_by_their_light():
     assert sector_multiples([part(3.0)]) == [1]
     assert sector_multiples([part(2.0)] * 4) == [1, 1, 1, 1]
     assert sector_multiples([part(27.0), part(1.0), part(1.0), part(1.0)]) == [3, 1, 1, 1]
+
+
+@pytest.mark.parametrize("rows", [7, 64, 180, 181, 512, 1024])
+def test_a_light_in_the_zenith_of_a_map(rows):
+    """Pixels narrow towards the zenith, so that means over them are not those by elevation; a quadrature of
+    the map itself, as bright all round. A bright band at the horizon keeps cells from being divided."""
+    image = np.full((rows, 2 * rows), 0.1)
+    image[0], image[rows // 2 - rows // 20 : rows // 2] = 4e4, 0.6
+    elevation = np.pi / 2 * (np.arange(100_000) + 0.5) / 100_000
+    there = sl.environment_map(image)(sources.directions_of(0.3, np.sin(elevation)))
+    level = 2 * np.pi * np.mean(there * np.sin(elevation) * np.cos(elevation)) * np.pi / 2
+    for tolerance in (0.01, math.inf):
+        assert Integrals(sl.Sky(sl.environment_map(image)), tolerance).level == pytest.approx(level, rel=1e-5)

@@ -160,6 +160,8 @@ def test_a_valley_gets_the_sum_of_its_hours(fast):
         ({"times": DAY[:0]}, "at least one"),
         ({"hours": [1.0, 2.0]}, "one or 6"),
         ({"hours": 0.0}, "with 0.0.* > 0"),
+        ({"hours": 1e12}, "at most 100000"),
+        ({"dni": [1e24] * 6, "dhi": [1.0] * 6}, "to 1e\\+09"),
         ({"dni": pandas.Series([1.0] * 6, DAY[::-1]), "dhi": [1.0] * 6}, "dni, a Series of other times"),
         ({"dni": pandas.Series([1.0] * 6, DAY + 2 * (DAY[1] - DAY[0])), "dhi": [1.0] * 6}, "of other times"),
         ({"dni": [1.0] * 6}, "dni is given without the other"),
@@ -178,6 +180,8 @@ def test_what_does_not_fit_is_an_error(changes, text):
     arguments = {"times": DAY, "latitude": 46.5, "longitude": 8.0} | changes
     with pytest.raises(sl.InputError, match=text):
         sl.sky_over_time(**arguments)
+    with pytest.raises(sl.InputError, match="sun_position: time"):
+        sl.sun_position(DAY, 46.5, 8.0)
 
 
 @pytest.mark.parametrize("seconds", [0, 20, 60])
@@ -190,3 +194,31 @@ def test_a_sun_near_the_zenith_has_its_own_light_and_no_more(seconds):
     _, elevation = sl.sun_position(time[0], 0, 0)
     assert abs(sky.ghi / (0.9 * np.sin(np.radians(elevation))) - 1) < 1e-4
     assert abs(Integrals(sl.Sky(sky)).level / sky.ghi - 1) < 1e-3
+
+
+@pytest.mark.parametrize("dhi", [300, 600, 20_000])
+def test_more_diffuse_light_than_comes_to_the_atmosphere(dhi):
+    """As at dusk with times that are an hour off: level ground gets it, and no more."""
+    times = pandas.DatetimeIndex(["2026-06-21 18:30Z"])
+    for when in (times, times - pandas.Timedelta("7h")):
+        found = sl.sky_over_time(when, 45.0, 10.0, dni=[0], dhi=[dhi], hours=1000.0)
+        assert found.ghi == pytest.approx(dhi, rel=1e-4)
+
+
+def test_cells_do_not_widen_the_disc():
+    """The mean square of the distance from the sun's middle is a quarter of its radius squared, along both
+    axes, whereever the disc lies between cells."""
+    radius = np.radians(0.2665)
+    for minute in range(0, 10, 3):
+        times = pandas.DatetimeIndex([f"2026-06-21 07:{minute:02}Z"])
+        sky = sl.sky_over_time(times, *PLACE, dni=[500], dhi=[0], hours=1.0)
+        azimuth, elevation = sun_at(times[0])
+        e = np.radians(elevation) + np.linspace(-2.5, 2.5, 301)[:, None] * radius
+        a = np.radians(azimuth - 90) + np.linspace(-2.5, 2.5, 301) * radius / np.cos(np.radians(elevation))
+        light = sky(
+            np.stack(np.broadcast_arrays(np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), -np.sin(e)), -1)
+        )
+        for place, scale in ((e, 1.0), (a, np.cos(np.radians(elevation)))):
+            mean = np.average(np.broadcast_to(place, light.shape), weights=light)
+            spread = np.average((scale * (place - mean)) ** 2 + 0 * light, weights=light)
+            assert spread == pytest.approx(radius**2 / 4, rel=0.1)

@@ -1083,3 +1083,25 @@ def test_a_sun_behind_an_aperture_in_lobes_and_mirrors(fast, surface):
     ]
     assert images[1].image[20, 20] == pytest.approx(images[0].image[20, 20], rel=0.03)
     assert images[1].error is not None, "irradiances are refined, as of matte surfaces"
+
+
+def test_an_albedo_where_masked_is_of_no_effect(fast):
+    """nan, or what is no share, under the mask: the same image, with light between surfaces and without."""
+    mask = np.hypot(*np.mgrid[-20:20, -20:20]) > 9
+    heights = np.random.default_rng(3).random((40, 40)) * 2
+    clean, surface = np.where(mask, 0.8, 0.0), np.where(mask, 0.8, np.nan)
+    surface[20, 20] = 7.0
+    kept = surface.copy()
+    for included in (False, True):
+        found, expected = (
+            sl.render(
+                sl.Scene.from_height(heights, albedo=albedo, mask=mask),
+                sl.Sky(),
+                backend=fast,
+                interreflection=included,
+            )
+            for albedo in (surface, clean)
+        )
+        assert np.isfinite(found.image[mask]).all()
+        assert_bits_equal(np.nan_to_num(found.image), np.nan_to_num(expected.image))
+    np.testing.assert_array_equal(surface, kept)

@@ -788,3 +788,63 @@ def test_every_worker_takes_a_device_of_its_own(dem, fast):
         client.register_plugin(sl.devices("numpy"), name="again")
         found = svf(dem.chunk(y=100), "auto").compute()
     assert_bits_equal(found.values, svf(dem.chunk(y=100), "numpy").compute(scheduler="sync").values)
+
+
+def test_rare_ground_decides_on_light_between_surfaces(fast):
+    """Two canyons that a grid of windows does not meet: the estimate is near that of the whole map."""
+    heights = np.zeros((256, 1024), np.float32)
+    heights[:, 5:35] = heights[:, 545:575] = -40
+    heights += 0.1 * np.random.default_rng(1).normal(size=heights.shape).astype(np.float32)
+    scene = sl.Scene.from_height(heights)
+    found = sl.render(scene, sl.Sky(), backend=fast, tiling=sl.Tiling(256, 64, 32)).interreflection
+    whole = sl.render(scene, sl.Sky(), backend=fast).interreflection
+    assert found.included and whole.included
+    assert found.share == pytest.approx(whole.share, rel=0.2)
+
+
+def test_an_islet_that_no_sample_meets(fast):
+    """A tile of one node among tiles without gaps renders as any other, at every albedo."""
+    y, x = np.mgrid[:130, :130]
+    heights = np.sin(x / 9) + np.cos(y / 7)
+    heights[64:128, 64:128], heights[90, 90] = np.nan, 0
+    for albedo in (0.2, 0.8):
+        scene = sl.Scene.from_height(heights, albedo=albedo, mask=np.isfinite(heights))
+        image = sl.render(scene, sl.Sky(), backend=fast, tiling=SMALL).image
+        assert np.array_equal(np.isnan(image), np.isnan(heights))
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_irradiance_of_coloured_ground_without_light_between(fast, lazy):
+    """It is in colour, as it would be with that light, whether the map is one tile or many."""
+    heights = 0.05 * np.sin(np.arange(130) / 9) + np.zeros((90, 1))
+    given = da.from_array(heights, chunks=50) if lazy else heights
+    scene = sl.Scene.from_height(given, 1.0, albedo=(0.2, 0.3, 0.4))
+    for tiling in (SMALL, sl.Tiling(256, 16, 8)):
+        image = sl.render(scene, sl.Sky(), backend=fast, quantity="irradiance", tiling=tiling).image
+        image = np.asarray(image)
+        assert image.shape == (90, 130, 3) and np.ptp(image, axis=2).max() == 0
+
+
+@pytest.mark.parametrize("options", [{"max_distance": 30.0}, {"earth": 300.0}])
+def test_what_is_not_seen_is_no_error(fast, options):
+    """Ground beyond max_distance, or behind the round Earth, is no error of a tile's, so nothing is said."""
+    heights = mountains(320, 320, 12, roughness=2.4)
+    earth = options.pop("earth", None)
+    tiling = sl.Tiling(128, 16, 16, earth=earth)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        svf(heights, fast, tiling, **options)
+
+
+def test_the_round_earth_falls_off_below_the_horizon(fast):
+    """Seen from the nadir, level ground falls off: by the angle to its farthest node."""
+    tiling, level = sl.Tiling(64, 16, 8, earth=1e3), sl.Scene.from_height(np.zeros((64, 512), np.float32))
+    west = sl.Azimuths(2, tuple(0.001 + np.pi * np.array([-0.5, 0.5, 1.5])))
+    below, above = (
+        sl.openness(level, west, fast, negative=negative, tiling=tiling)[32] - np.pi / 2
+        for negative in (True, False)
+    )
+    x = np.arange(512)
+    expected = -np.arctan(0.87 * np.stack([x, 511 - x]) / 2e3).mean(0)
+    np.testing.assert_allclose(below[64:-64], expected[64:-64], atol=0.02)
+    np.testing.assert_allclose(above[64:-64], 0, atol=0.01)

@@ -522,3 +522,19 @@ def test_a_volume_far_above_the_ground_is_too_much_work(fast):
     lamp = sl.Lamp(volume=np.ones((2, 3, 4), bool))
     with pytest.raises(sl.CapacityError, match="steps"):
         sl.visibility(sl.Scene(np.full((3, 4), 1e7)), lamp, 3, fast)
+
+
+@pytest.mark.parametrize("power, says", [(3, False), (4000, True)])
+def test_a_sky_whose_light_lies_between_directions_is_told(fast, power, says):
+    """A narrow spot, with the share of its light that level ground gets; a wide one is as it should be."""
+    sky = sl.Sky(sl.cosine_power(power, (0.31, 0.2, 1.0)))
+    flat = sl.Scene(np.ones((6, 6)))
+    found = sl.render(flat, sky, "lattice", backend=fast, quantity="irradiance")
+    told = [text for text in found.warnings if text.startswith("Uneven sky")]
+    assert bool(told) == says
+    if says:
+        exact = sl.render(flat, sky, backend=fast, quantity="irradiance").image[3, 3]
+        assert (
+            f"gets {found.image[3, 3] / exact:.2g}" in told[0]
+            or f"{found.image[3, 3] / exact:.3g}" in told[0]
+        )

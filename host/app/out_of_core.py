@@ -137,7 +137,7 @@ def horizon(what: str, definition: str, azimuths: int, max_distance: float | Non
     works: dict[str, Any] = {
         "sky-view-factor": partial(sky_view, definition=definition, **options),
         "openness": partial(mean_openness, **options),
-        "negative-openness": partial(mean_openness, **options),
+        "negative-openness": partial(mean_openness, upside_down=True, **options),
     }
     if what not in works:
         raise bad("--what with --memory", repr(what), " | ".join(works))

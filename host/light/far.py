@@ -13,7 +13,7 @@ from ..arrays import by_bands
 from ..backends.base import Array, Backend
 from ..backends.resident import Resident
 from ..checks import positive_number
-from ..constants import HIGHEST_MASKED, NONE
+from ..constants import ENDLESS, HIGHEST_MASKED, NONE
 from ..errors import bad
 
 # how far from a cell's mean to its maximum its height lies; measured (performance/scale.py): with means alone
@@ -124,8 +124,8 @@ class Far(NamedTuple):
     nodes between those that are marched, ``own``: heights float32 of the nodes that
     :func:`marched_nodes` lists; ``levels``: from ``tiling.first`` on, heights likewise in spacings as the
     window has them; ``farthest`` [nodes] ground to be seen; ``periodic``: the map repeats; ``drop``
-    [1 / spacing]: by how much ground sinks with distance^2; ``whole``: all of the window is lit,
-    what lies around the tile by near ground alone.
+    [1 / spacing]: by how much ground sinks with distance^2, or rises where negative; ``whole``: all of the
+    window is lit, what lies around the tile by near ground alone.
     """
 
     tiling: Tiling
@@ -290,7 +290,8 @@ class Marched:
             offset += level.heights.size
         cells = np.concatenate([level.heights.ravel() for level in far.levels])
         np.nan_to_num(cells, copy=False, nan=NONE)
-        self.highest = float(max(cells.max(), far.own.max()))
+        # ground that rises with distance may stand above any horizon
+        self.highest = ENDLESS if far.drop < 0 else float(max(cells.max(), far.own.max()))
         upload = backend.upload
         self.tables = [upload(cells, constant=True), upload(described), upload(table), upload(level_of)]
         self.steps = len(level_of)

@@ -193,11 +193,11 @@ def environment_map(array: Any) -> BrightnessFunction:
     image = real_array(array, "environment_map", None)
     if image.ndim != 2 and (image.ndim != 3 or image.shape[2] != 3):
         raise bad("environment_map: wrong shape", image.shape, "2 axes (rows, cols), or RGB (rows, cols, 3)")
-    if not np.isfinite(image).all() or image.min() < 0:
+    if not (image.min() >= 0 and image.max() <= BRIGHTEST):
         raise bad(
             "environment_map: values",
             f"{image.min()} to {image.max()}, finite: {np.isfinite(image).all()}",
-            "finite, >= 0",
+            f"finite, >= 0, at most {BRIGHTEST:g}",
         )
     return EnvironmentMap(image)
 

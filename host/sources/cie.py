@@ -122,7 +122,7 @@ def cie_sky(
     InputError
         For another type, a sun that is missing or not above the horizon, or brightness that is not finite.
     """
-    if isinstance(type, bool) or type not in PARAMETERS:
+    if isinstance(type, bool) or not isinstance(type, (int, float, np.number)) or type not in PARAMETERS:
         raise bad("cie_sky: type", repr(type), "a whole number from 1 to 15")
     if sun is None and (type not in WITHOUT_SUN or direct):
         raise bad(
@@ -180,7 +180,7 @@ def sun_position(
     try:
         when = datetime.datetime.fromisoformat(time) if isinstance(time, str) else time
         known = when.date() and when.utcoffset() is not None
-    except (ValueError, AttributeError):
+    except (ValueError, AttributeError, TypeError):
         allowed = "a datetime, or ISO 8601 text, with its time zone"
         raise bad("sun_position: time", repr(time), allowed) from None
     if not known:

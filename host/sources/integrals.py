@@ -606,28 +606,48 @@ def _of_map(image: np.ndarray) -> list[Band]:
     finer = -(-ROWS // rows) if rows % 2 == 0 else 2 * -(-ROWS // (2 * rows))
     count, times = rows * finer // 2, -(-COLS // (2 * cols))
     upper = np.pad(image, ((1, 1), (0, 0)), mode="edge")[: -(-rows // 2) + 2]
-    around = np.pad(_cell_means(upper.T, finer)[:, :count][:, ::-1], ((1, 1), (0, 0)), mode="wrap")
+    around = np.pad(_means_down(upper.T, finer, count)[:, ::-1], ((1, 1), (0, 0)), mode="wrap")
     light = np.ascontiguousarray(_cell_means(around.T, times))
     width = np.full(count, math.pi / (cols * times))
     return [Band(light, width, np.linspace(0, math.pi / 2, count + 1))]
 
 
-def _cell_means(values: np.ndarray, times: int) -> np.ndarray:
+def _means_down(values: np.ndarray, times: int, count: int) -> np.ndarray:
+    """:func:`_cell_means` by solid angle, of ``count`` cells from the zenith down: (n, count).
+
+    The middle of a cell of height h by solid angle lies h^2 tan(elevation) / 12 lower, as far as h / 6 at the
+    zenith.
+    """
+    parts = 1 + times % 2  # halves, on which values are linear
+    height = math.pi / 2 / (parts * count)
+    middle = math.pi / 2 - height * (np.arange((values.shape[1] - 2) * parts * times) + 0.5)
+    means = _cell_means(values, parts * times, height * np.tan(middle) / 12)[:, : parts * count]
+    if parts == 1:
+        return means
+    weight = np.cos(middle[: parts * count])
+    upper, lower = (means[:, n::2] * weight[n::2] for n in (0, 1))
+    joined: np.ndarray = (upper + lower) / (weight[::2] + weight[1::2])
+    return joined
+
+
+def _cell_means(values: np.ndarray, times: int, moved: np.ndarray | None = None) -> np.ndarray:
     """Means over the cells that pixels (n, pixels + 2) are divided into, (n, pixels x times).
 
     Values are linear between the middles of pixels; the first pixel and the last are only neighbours. Where
-    the number is odd, a cell in the middle of each pixel has a kink: its mean is not its middle.
+    the number is odd, a cell in the middle of each pixel has a kink: its mean is not its middle. Where it is
+    even, values at places ``moved`` (pixels x times,) [cell] onwards from the middles of cells.
     """
     before, own, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
     means = np.empty((*own.shape, times))
     for cell in range(times):
-        past = (cell + 0.5) / times - 0.5
+        past: Any = (cell + 0.5) / times - 0.5
         if 2 * cell + 1 == times:
             means[..., cell] = (1 - 1 / (4 * times)) * own + (before + after) / (8 * times)
-        elif past < 0:
-            means[..., cell] = (1 + past) * own - past * before
-        else:
-            means[..., cell] = (1 - past) * own + past * after
+            continue
+        beyond = before if past < 0 else after
+        if moved is not None:
+            past = past + moved[cell::times] / times
+        means[..., cell] = own + np.abs(past) * (beyond - own)
     return means.reshape(len(values), -1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -275,8 +276,16 @@ def narrow_features(source: Source) -> tuple[tuple[float, ...], ...] | None:
     """
     brightness = distribution_of(source)
     narrow = None if brightness is None else brightness.narrow()
-    suns = source.suns if isinstance(source, Sky) else ()
+    suns = tuple(map(_unit, source.suns)) if isinstance(source, Sky) else ()
     return None if narrow is None and not suns else (*suns, *(narrow or ()))
+
+
+def _unit(vector: Sequence[float]) -> tuple[float, float, float]:
+    """A vector that is not zero, 1 long."""
+    most = max(map(abs, vector))
+    x, y, z = (v / most for v in vector)
+    length = math.hypot(x, y, z)
+    return x / length, y / length, z / length
 
 
 def in_range(source: Source) -> tuple[Source, float]:
@@ -302,7 +311,7 @@ def in_range(source: Source) -> tuple[Source, float]:
         most = _summit(brightness, probes[np.argmax(values)], most)
     if most == 0 or LEAST_UNIT <= most <= MOST_UNIT:
         return source, 1.0
-    scale = 2.0 ** math.floor(math.log2(most))
+    scale = 2.0 ** max(math.floor(math.log2(most)), -1000)  # 1 / scale is finite
     return replace(source, brightness=brightness.scaled(1 / scale)), scale
 
 
