@@ -1,5 +1,6 @@
 """A sky's brightness as integrals: level ground to 1e-4, small bright parts, tables against quadrature."""
 
+import gc
 import math
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ import skylamp as sl
 from skylamp import sources
 from skylamp.backends import select
 from skylamp.light.horizon import Horizons
+from skylamp.sources import integrals
 from skylamp.sources.integrals import Integrals, even, sector_multiples
 
 FLAT = sl.Scene(np.full((24, 31), 5.0))
@@ -484,3 +486,45 @@ def test_a_light_in_the_zenith_of_a_map(rows):
     level = 2 * np.pi * np.mean(there * np.sin(elevation) * np.cos(elevation)) * np.pi / 2
     for tolerance in (0.01, math.inf):
         assert Integrals(sl.Sky(sl.environment_map(image)), tolerance).level == pytest.approx(level, rel=1e-5)
+
+
+def test_integrals_are_kept_with_what_they_are_of(monkeypatch):
+    """Of maps and functions, once per object: another value anywhere, another object, and nothing is kept of
+    objects that are gone, nor of more than a bounded size."""
+    made = []
+    fill = Integrals.__init__
+
+    def counted(self, *args, **options):
+        made.append(self)
+        fill(self, *args, **options)
+
+    monkeypatch.setattr(Integrals, "__init__", counted)
+    kept = integrals._of_objects
+
+    def level(brightness, times=1.0, **named):
+        return integrals.integrals(sl.Sky(brightness, **named)).level
+
+    image = np.random.default_rng(2).random((8, 16, 3))
+    rgb = sl.environment_map(image)
+    first = [level(grey.brightness) for grey in sources.channels(sl.Sky(rgb))]
+    image[:] = 0
+    assert [level(grey.brightness) for grey in sources.channels(sl.Sky(rgb))] == first and len(made) == 3
+    with pytest.raises(ValueError, match="read-only"):
+        rgb.image[0] = 1
+
+    state, sun = {"sky": 1.0, "sun": 1e6}, (0.0, 0.0, -1.0)
+    glow = lambda L: state["sky"] + state["sun"] * (L[..., 2] < -0.9999999)  # a disc of 0.03 degrees
+    both = [level(glow, suns=(sun,)) for _ in range(2)]
+    assert both[0] == both[1] and len(made) == 4
+    state["sun"] = 2e6
+    assert level(glow, suns=(sun,)) > both[0] + 0.2 and len(made) == 5
+    state["sky"] = 2.0
+    assert level(glow, suns=(sun,)) > both[0] + 3 and len(made) == 6
+    before = len(kept.of)
+    del glow
+    gc.collect()
+    assert len(kept.of) == before - 3
+    monkeypatch.setattr(integrals, "KEPT_BYTES", 1)
+    last = sl.environment_map(image[..., 0] + 1)
+    level(last)
+    assert list(kept.of)[0][0] == id(last) and len(kept.of) == 1

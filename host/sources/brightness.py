@@ -54,6 +54,18 @@ class Disc(NamedTuple):
         return points
 
 
+class Held(NamedTuple):
+    """An object that brightness comes from; what of it that is; whether the object's values never change."""
+
+    owner: Any
+    part: tuple[Any, ...] = ()
+    lasts: bool = True
+
+    def of(self, *part: Any) -> Held:
+        """A brightness that is made of this one."""
+        return self._replace(part=(*self.part, *part))
+
+
 class Distribution(ABC):
     """A brightness function with its properties that samples in some directions do not show.
 
@@ -71,6 +83,10 @@ class Distribution(ABC):
         It must be hashable then.
         """
         return False
+
+    def held_by(self) -> Held | None:
+        """The object that this brightness comes from, with whose life its tables end; None: keep none."""
+        return None
 
     def narrow(self) -> Directions | None:
         """Directions of all features narrower than a degree, () if there are none; None if not known.
@@ -102,6 +118,9 @@ class Function(Distribution):
 
     function: BrightnessFunction
     peaks: Directions | None = None
+
+    def held_by(self) -> Held | None:
+        return Held(self.function, lasts=False)
 
     def narrow(self) -> Directions | None:
         return self.peaks
@@ -208,6 +227,12 @@ class EnvironmentMap(Distribution):
 
     image: np.ndarray
 
+    def __post_init__(self) -> None:
+        self.image.flags.writeable = False
+
+    def held_by(self) -> Held | None:
+        return Held(self)
+
     def equirectangular(self) -> np.ndarray:
         return self.image
 
@@ -240,6 +265,10 @@ class Channel(Distribution):
     function: Distribution
     number: int
 
+    def held_by(self) -> Held | None:
+        held = self.function.held_by()
+        return held and held.of("channel", self.number)
+
     def narrow(self) -> Directions | None:
         return self.function.narrow()
 
@@ -265,6 +294,10 @@ class Scaled(Distribution):
     function: Distribution
     factor: float
 
+    def held_by(self) -> Held | None:
+        held = self.function.held_by()
+        return held and held.of("times", self.factor)
+
     def narrow(self) -> Directions | None:
         return self.function.narrow()
 
@@ -288,6 +321,10 @@ class Mirrored(Distribution):
 
     def by_formula(self) -> bool:
         return self.function.by_formula()
+
+    def held_by(self) -> Held | None:
+        held = self.function.held_by()
+        return held and held.of("axes", self.axes)
 
     def _turned(self, L: Any) -> np.ndarray:
         return np.asarray(L, float) * (*self.axes, 1.0)

@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+import threading
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -57,6 +60,9 @@ INNER = 0.1  # share of a small part's light from which on far brighter cells in
 # cells along a pixel of a map from which on a bright one is not divided further. With 10 its extent errs by
 # 0.3 %, with 5 by 2 %, with 20 by 0.06 % (tests/test_integrals.py)
 LIGHT_CELLS = 16
+KEPT_BYTES = (
+    2**28
+)  # of tables of maps and functions, together; chosen: five maps of 2048 x 4096 pixels in grey
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
 CUT_AT_ONCE = 2**13  # directions; chosen: what is held of so many, some 300 kB, stays in a core's cache
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
@@ -260,19 +266,21 @@ class Integrals:
     """
 
     def __init__(
-        self, source: sources.Source, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
+        self,
+        source: sources.Source,
+        tolerance: float = 0.01,
+        fine: bool = False,
+        widest: float = WIDEST,
+        bands: list[Band] | None = None,
     ):
         """``fine``: cells are small also where narrow features are named, for sources through which little of
         the sky is visible at a time. ``tolerance`` inf: no small bright parts. ``widest``: azimuth that one
-        may span [rad].
+        may span [rad]. ``bands``: of :func:`_bands`, if they are made already; they are changed.
         """
-        function, peaks = source.brightness, _peaks(source)
+        function, peaks = _function_of(source), _peaks(source)
         brightness = sources.distribution_of(source)
         image = None if brightness is None else brightness.equirectangular()
-        if brightness is not None and (disc := brightness.disc()) is not None:  # part of this sky
-            function = _with_disc(brightness, disc)
-        named = peaks is not None and not fine
-        bands = _of_function(function, named) if image is None else _of_map(image)
+        bands = _bands(source, fine) if bands is None else bands
         self._source = sources.Sky(function)
         sizes = np.array([0, *np.cumsum([band.light.size for band in bands])])
         solid = [band.solid_angle for band in bands]
@@ -312,8 +320,10 @@ class Integrals:
         self.mean = self.rest / math.pi
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
         self._sums = [_cumulative(part) for part in parts]
+        self.nbytes = sum(part.nbytes for part in self._sums)
         is_smooth = math.isinf(tolerance) or self._misplaced() <= MISPLACED_SHARE * tolerance
         self.knots = SKY_KNOTS if is_smooth else FINE_KNOTS
+        del self._source  # whose life ends that of these tables
 
     def _misplaced(self) -> float:
         """The most light above any elevation that a table of SKY_KNOTS misplaces, over all light."""
@@ -463,7 +473,7 @@ class Integrals:
         """
         sums = self._sums
         if unbiased:  # of base cells: 1/24 by the mean, 1/24 since they are even
-            cells = (_sharpened(np.diff(part, axis=2), 1 / 12) for part in sums)
+            cells = (_sharpened(np.diff(part, axis=0).transpose(1, 2, 0), 1 / 12) for part in sums)
             sums = [_cumulative(c) for c in cells]
         light = np.concatenate([_between(part, begin, end) for part in sums], 1)
         if unbiased:  # 1/24 by the mean, 1/12 by interpolation
@@ -479,16 +489,66 @@ class Integrals:
         return above
 
 
-_kept = functools.lru_cache(16)(Integrals)  # 1.3 MB each, 20 to 60 ms to make
+_of_formulas = functools.lru_cache(16)(Integrals)  # 1.3 MB each, 20 to 60 ms to make
+
+
+class _Kept:
+    """Integrals of brightness that comes from an object, kept while that lives, the last used ones."""
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.of: OrderedDict[tuple[Any, ...], Integrals] = OrderedDict()
+        self.owners: set[int] = set()
+
+    def get(self, owner: Any, how: tuple[Any, ...], make: Callable[[], Integrals]) -> Integrals:
+        """``how``: hashable; all that they depend on besides ``owner``."""
+        key = id(owner), *how
+        with self.lock:
+            if key in self.of:
+                self.of.move_to_end(key)
+                return self.of[key]
+        made = make()
+        with self.lock:
+            if id(owner) not in self.owners:
+                weakref.finalize(owner, self.forget, id(owner)).atexit = False
+                self.owners.add(id(owner))
+            self.of[key] = made
+            while len(self.of) > 1 and sum(one.nbytes for one in self.of.values()) > KEPT_BYTES:
+                self.of.popitem(last=False)
+        return made
+
+    def forget(self, owner: int) -> None:
+        with self.lock:
+            self.owners.discard(owner)
+            for key in [key for key in self.of if key[0] == owner]:
+                del self.of[key]
+
+
+_of_objects = _Kept()
 
 
 def integrals(
     source: sources.Source, tolerance: float = 0.01, fine: bool = False, widest: float = WIDEST
 ) -> Integrals:
-    """The Integrals of a sky, nothing of which is to be changed; of one by a formula they are kept."""
+    """The Integrals of a sky, nothing of which is to be changed; they are kept.
+
+    Those of a function, which may depend on anything, as long as its values in all base cells and towards
+    its named features are the same: these are computed each time, a fifth of the work.
+    """
     brightness = sources.distribution_of(source)
-    made = Integrals if brightness is None or not brightness.by_formula() else _kept
-    return made(source, tolerance, fine, widest)
+    if brightness is not None and brightness.by_formula():
+        return _of_formulas(source, tolerance, fine, widest)
+    held = None if brightness is None else brightness.held_by()
+    if held is None or not type(held.owner).__weakrefoffset__:
+        return Integrals(source, tolerance, fine, widest)
+    how: tuple[Any, ...] = tolerance, fine, widest, held.part, sources.narrow_features(source)
+    bands: list[Band] | None = None
+    if not held.lasts:
+        bands = _bands(source, fine)
+        named = np.reshape(how[-1] or (), (-1, 3))
+        at_features = sources.radiance(sources.Sky(_function_of(source)), named)
+        how = *how, *(hash(values.tobytes()) for values in (*(band.light for band in bands), at_features))
+    return _of_objects.get(held.owner, how, lambda: Integrals(source, tolerance, fine, widest, bands))
 
 
 def sector_multiples(parts: Sequence[BrightPart]) -> list[int]:
@@ -575,6 +635,22 @@ def _with_disc(sky: sources.Distribution, disc: sources.Disc) -> sources.Brightn
     return brightness
 
 
+def _function_of(source: sources.Source) -> Any:
+    """The brightness with the sun's disc, which is part of the sky."""
+    brightness = sources.distribution_of(source)
+    disc = None if brightness is None else brightness.disc()
+    return source.brightness if brightness is None or disc is None else _with_disc(brightness, disc)
+
+
+def _bands(source: sources.Source, fine: bool) -> list[Band]:
+    """The base cells of a sky; ``fine``: small ones, also where narrow features are named."""
+    brightness = sources.distribution_of(source)
+    image = None if brightness is None else brightness.equirectangular()
+    if image is not None:
+        return _of_map(image)
+    return _of_function(_function_of(source), _peaks(source) is not None and not fine)
+
+
 def _of_function(function: Any, named: bool) -> list[Band]:
     """Bands of rows from the horizon up, with half as many cells each time the circle is half as long."""
     count, around = (COARSE_ROWS, COARSE_COLS) if named else (ROWS, COLS)
@@ -652,25 +728,29 @@ def _cell_means(values: np.ndarray, times: int, moved: np.ndarray | None = None)
 
 
 def _cumulative(cells: np.ndarray) -> np.ndarray:
-    """Sums over azimuth before every cell and after the last: (2, rows, cells + 1)."""
-    return np.concatenate([np.zeros_like(cells[..., :1]), np.cumsum(cells, 2)], 2)
+    """Sums of (2, rows, cells) over azimuth before every cell and after the last: (cells + 1, 2, rows).
+
+    Those of an azimuth lie together, since they are looked up together.
+    """
+    sums = np.zeros((cells.shape[2] + 1, *cells.shape[:2]))
+    np.cumsum(cells.transpose(2, 0, 1), axis=0, out=sums[1:])
+    return sums
 
 
 def _between(sums: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Integrals (2, rows, K) between azimuths, which may lie beyond a turn.
 
-    ``sums`` (2, rows, cells + 1): cumulative over azimuth from 0.
+    ``sums`` (cells + 1, 2, rows): cumulative over azimuth from 0.
     """
-    cols = sums.shape[2] - 1
+    cells = len(sums) - 1
 
     def until(azimuth: np.ndarray) -> Any:
-        turns, at = np.divmod(np.asarray(azimuth) * (cols / (2 * math.pi)), cols)
-        low = np.minimum(at.astype(int), cols - 1)
-        within = (at - low) * (sums[:, :, low + 1] - sums[:, :, low])
-        return sums[:, :, low] + within + turns * sums[:, :, -1:]
+        turns, at = np.divmod(np.asarray(azimuth) * (cells / (2 * math.pi)), cells)
+        low = np.minimum(at.astype(int), cells - 1)
+        below, (part, turns) = sums[low], (v[:, None, None] for v in (at - low, turns))
+        return below + part * (sums[low + 1] - below) + turns * sums[-1]
 
-    between: np.ndarray = until(end) - until(begin)
-    return between
+    return np.moveaxis(until(end) - until(begin), 0, 2)
 
 
 def _antiderivatives(elevation: np.ndarray) -> np.ndarray:
