@@ -82,12 +82,23 @@ class Hemicube:
         return _cells(self.size)[1]
 
     def unpack(self, bits: np.ndarray) -> np.ndarray:
-        """Packed bits (..., words) uint32 -> (..., D) bool, in the order of ``steps``."""
+        """Packed bits (..., words) uint32 -> (..., D) bool, in the order of ``steps``; InputError of others."""
+        if np.asarray(bits).dtype.kind not in "iu" or np.shape(bits)[-1:] != (self.words,):
+            got = f"{np.asarray(bits).dtype}, shape {np.shape(bits)}"
+            raise bad("hemicube: packed bits", got, f"whole numbers (..., {self.words})")
         bits = np.ascontiguousarray(bits, "<u4")
         return np.unpackbits(bits.view(np.uint8), axis=-1, bitorder="little")[..., : len(self)].astype(bool)
 
     def pack(self, visible: np.ndarray) -> np.ndarray:
-        """(..., D) bool -> packed bits (..., words) uint32: direction d is bit d % 32 of word d // 32."""
+        """(..., D) bool -> packed bits (..., words) uint32: direction d is bit d % 32 of word d // 32.
+
+        InputError where there is not one value for every direction.
+        """
+        visible = np.asarray(visible)
+        if visible.shape[-1:] != (len(self),):
+            raise bad(
+                "hemicube: visible", f"shape {visible.shape}", f"(..., {len(self)}), one for a direction"
+            )
         room = np.zeros((*visible.shape[:-1], 32 * self.words), bool)
         room[..., : len(self)] = visible
         return np.packbits(room, axis=-1, bitorder="little").view("<u4").astype(np.uint32)
@@ -142,6 +153,13 @@ class Azimuths:
     @property
     def widths(self) -> np.ndarray:
         return np.diff(np.array(self.edges, float))
+
+    def on_axes(self, axes: tuple[float, float]) -> Azimuths:
+        """The same sectors in the axes of a map, see ``Scene.axes``, in order of their angles there."""
+        edges = np.array(self.edges, float)
+        edges = np.pi - edges if axes[0] < 0 else edges
+        edges = -edges if axes[1] < 0 else edges
+        return self if axes == (1.0, 1.0) else Azimuths(self.count, tuple(np.sort(edges).tolist()))
 
     @classmethod
     def placed(cls, count: int, weights: np.ndarray) -> Azimuths:

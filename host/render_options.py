@@ -102,8 +102,8 @@ class Options:
             raise bad(
                 f"method '{'horizon' if self.horizon else self.method}'",
                 missing,
-                "a sky, a rectangular window, or a lamp given by its centre and radius, the last two with"
-                " sides='open' or 'dark'",
+                "a sky, a rectangular window, or a lamp given by its centre and radius or by a corner and"
+                " edges, windows and lamps with sides='open' or 'dark'",
                 "" if isinstance(source, sources.Lamp) and source.volume is None else "Use method='lattice'.",
             )
         if self.method == "unoccluded" and self.shines(scene):
@@ -132,8 +132,8 @@ class Options:
             )
 
 
-def sectors_of(azimuths: int | Azimuths | None) -> Azimuths:
-    """Sectors of azimuth, as asked."""
-    if isinstance(azimuths, Azimuths):
-        return azimuths
-    return Azimuths(DEFAULT_AZIMUTHS if azimuths is None else azimuths)
+def sectors_of(azimuths: int | Azimuths | None, axes: tuple[float, float] = (1.0, 1.0)) -> Azimuths:
+    """Sectors of azimuth, as asked, in the axes of a map, see ``Scene.axes``."""
+    if not isinstance(azimuths, Azimuths):
+        azimuths = Azimuths(DEFAULT_AZIMUTHS if azimuths is None else azimuths)
+    return azimuths.on_axes(axes)

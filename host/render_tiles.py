@@ -433,7 +433,7 @@ def _tile_image(
     scene: Scene, source: sources.Source, options: Options, backend: str, between: bool | None
 ) -> TileImage:
     source, scale = sources.in_range(source)
-    greys, sectors = sources.channels(source), sectors_of(options.azimuths)
+    greys, sectors = sources.channels(source), sectors_of(options.azimuths, scene.axes)
     factors = numbers_of(greys)
     skies = [grey for grey in greys if isinstance(grey, sources.Sky)][: None if factors is None else 1]
     return TileImage(

@@ -241,7 +241,7 @@ class Renderer:
         scene, options = self.scene, self.options
         self._plan_as_asked()
         if isinstance(self.source, sources.Sky):
-            sectors = sectors_of(options.azimuths)
+            sectors = sectors_of(options.azimuths, scene.axes)
             ground = ground_of(scene, options.max_distance, self.engine)
             sweeps = Sweeps(self.engine, ground, Rays(sectors.angles, sectors.widths), near=FINE_NEAR_ROWS)
             parts = shading.above_horizons(scene, sweeps.planes(), sectors)
@@ -544,7 +544,7 @@ def _sky_above_horizons(
 
     ``on_device``: a DeviceImage.
     """
-    sectors, table = sectors_of(azimuths), None
+    sectors, table = sectors_of(azimuths, scene.axes), None
     if callable(sky.brightness):
         if not isinstance(azimuths, Azimuths) and (profile := sources.azimuth_profile(sky)) is not None:
             sectors = Azimuths.placed(len(sectors), profile)

@@ -244,7 +244,7 @@ class VisibilityField:
                 node[:2] %= (cols, rows)
             elif not (0 <= node[0] < cols and 0 <= node[1] < rows):
                 return None
-            if node[2] < 0 or (node[2] > deepest and not np.isfinite(self.depth[node[1], node[0]])):
+            if node[2] < 0:
                 return None
             if node[2] > self.depth[node[1], node[0]]:
                 return int(node[1]), int(node[0])

@@ -122,3 +122,34 @@ def test_the_tables_of_a_hemicube_cannot_be_written_to():
     for table in (cube.steps, cube.directions, cube.solid_angles, cube.moments):
         with pytest.raises(ValueError):
             table[0] = 0
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda cube: cube.pack(np.zeros((3, 7), bool)),
+        lambda cube: cube.pack(np.ones((3, 1), bool)),
+        lambda cube: cube.pack(True),
+        lambda cube: cube.unpack(np.zeros((3, 1), np.uint32)),
+        lambda cube: cube.unpack(np.zeros((3, 7), float)),
+        lambda cube: cube.unpack(0),
+    ],
+)
+def test_bits_of_another_hemicube_are_refused(call):
+    """Bits and words must be those of all directions."""
+    with pytest.raises(sl.InputError, match="hemicube: "):
+        call(sl.Hemicube(9))
+
+
+def test_mirrored_sectors():
+    """In the axes of a map: from west to east, from south to north, or both, in order of their angles."""
+    sectors = sl.Azimuths(3, (0.0, 0.5, 1.5, 2 * np.pi))
+    assert sectors.on_axes((1.0, 1.0)) is sectors
+    for axes in ((-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)):
+        found, by = sectors.on_axes(axes), np.array(axes)
+        for angle, width in zip(found.angles, found.widths):
+            way = by * [np.cos(angle), np.sin(angle)]
+            there = np.stack([np.cos(sectors.angles), np.sin(sectors.angles)], 1)
+            n = int(np.argmin(np.abs(there - way).max(1)))
+            np.testing.assert_allclose(there[n], way, atol=1e-12)
+            assert sectors.widths[n] == pytest.approx(width)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scenes
+from compare import assert_bits_equal
 
 import skylamp as sl
 from skylamp import oracle
@@ -270,3 +271,14 @@ def test_a_relief_beyond_all_search_is_a_capacity_error(backend):
     for work in (sl.sky_view_factor, sl.horizons, sl.openness):
         with pytest.raises(sl.CapacityError, match="repeats"):
             work(sl.Scene(depth, sides="periodic"), azimuths=4, backend=backend)
+
+
+@pytest.mark.parametrize("reach", [1e4, 3e9, 1e20])
+def test_far_distances_on_a_map_that_repeats(backend, reach):
+    """A max_distance beyond all that can be seen is none."""
+    scene = sl.Scene(np.random.default_rng(1).uniform(2, 6, (16, 18)).astype(np.float32), sides="periodic")
+    found, expected = (
+        sl.sky_view_factor(scene, azimuths=12, backend=backend, max_distance=distance)
+        for distance in (reach, None)
+    )
+    assert_bits_equal(found, expected)

@@ -158,3 +158,15 @@ def test_rows_along_x_are_refused(dem):
     """A map whose rows are x would be lit mirrored."""
     with pytest.raises(sl.InputError, match="transpose"):
         sl.Scene.from_height(dem.transpose("x", "y"))
+
+
+@pytest.mark.parametrize("azimuths", [5, sl.Azimuths(3, (0.0, np.pi / 6, np.pi / 2, 2 * np.pi))])
+def test_sectors_lie_the_same_way_in_each_order(dem, fast, azimuths):
+    """An odd number of azimuths, or uneven ones, of a method that is asked for, whole and in tiles."""
+    sky = sl.Sky(lambda L: 2 + L[..., 0] + 0.5 * L[..., 1])
+    options = dict(backend=fast, azimuths=azimuths, quantity="irradiance", interreflection=False)
+    for more in ({}, {"tiling": sl.Tiling(16, 4, 4)}):
+        expected = sl.render(sl.Scene.from_height(dem), sky, **options, **more).image
+        for order in ORDERS[1:]:
+            turned = dem[:: order[0], :: order[1]]
+            alike(sl.render(sl.Scene.from_height(turned), sky, **options, **more).image, expected, 1e-3)

@@ -538,3 +538,14 @@ def test_a_sky_whose_light_lies_between_directions_is_told(fast, power, says):
             f"gets {found.image[3, 3] / exact:.2g}" in told[0]
             or f"{found.image[3, 3] / exact:.3g}" in told[0]
         )
+
+
+def test_a_view_through_a_hole_in_the_data(backend):
+    """A ray goes on over masked nodes and shows the ground beyond, however deep other ground is."""
+    depth, mask = np.full((1, 12), 3, np.float32), np.ones((1, 12), bool)
+    mask[0, 4:6] = False
+    for deepest in (3, 9):
+        depth[0, 11] = deepest
+        view = sl.visibility_field(sl.Scene(depth, mask=mask), sl.Sky(), 9, backend=backend).view((0, 0, 0))
+        n = int(np.flatnonzero((view.steps == (4, 0, 4)).all(1))[0])
+        assert tuple(view.hit[n]) == (0, 8)

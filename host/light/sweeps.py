@@ -365,14 +365,13 @@ class Sweeps:
     def _half(self, turned: bool, table: np.ndarray | None) -> Half:
         keep = self.backend.table
         rows, cols = self.shape[:: -1 if turned else 1]
-        warm = 0
+        warm, endless = 0, float(rows + cols)
         if self.sides == "periodic":
-            most = max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE)
-            warm = math.ceil(min(self.reach + 1, most))
+            endless = max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE)
+            warm = math.ceil(min(self.reach + 1, endless))
             _check_search(self.backend, self.relief, warm, len(_numbers_of(self.rays.angles, turned)))
         angles, widths = (part.astype(float).tobytes() for part in self.rays[:2])
         sums = self.rays.sums.astype(int).tobytes()
-        endless = np.inf if self.sides == "periodic" else rows + cols
         numbers, windows, shears, tables = _shear_tables(
             angles, widths, sums, tuple(self.scales), turned, self.near, self.reach, endless, warm
         )
@@ -557,7 +556,8 @@ def _check_search(backend: Backend, relief: float, rows: int, azimuths: int) -> 
         raise CapacityError(
             f"A relief of {relief:.3g} on a map that repeats must be followed over {rows:,} rows in"
             f" {azimuths} azimuths; {backend.name} takes {backend.most_searched_rows // azimuths:,} at most."
-            " Give depth and spacing in one unit, or max_distance, or choose a compiled backend."
+            " Choose a compiled backend, or give max_distance, or, if the relief is too large, depth and spacing"
+            " in one unit."
         )
 
 

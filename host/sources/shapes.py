@@ -136,7 +136,7 @@ class Window:
 
     Either a rectangle, ``x`` = (x0, x1) and ``y`` = (y0, y1) [unit of spacing], half-open; or ``aperture``
     (rows, cols) bool, True where node's pixel is open. The surface lies behind the plane: at a node in it
-    (depth 0) the light of a rectangle is not defined.
+    (depth 0) the light of a rectangle is not defined. Over a map that repeats, the window repeats with it.
     """
 
     x: tuple[float, float] | None = None
