@@ -82,7 +82,10 @@ class Hemicube:
         return _cells(self.size)[1]
 
     def unpack(self, bits: np.ndarray) -> np.ndarray:
-        """Packed bits (..., words) uint32 -> (..., D) bool, in the order of ``steps``; InputError of others."""
+        """Packed bits (..., words) uint32 -> (..., D) bool, in the order of ``steps``.
+
+        InputError where there are not as many words.
+        """
         if np.asarray(bits).dtype.kind not in "iu" or np.shape(bits)[-1:] != (self.words,):
             got = f"{np.asarray(bits).dtype}, shape {np.shape(bits)}"
             raise bad("hemicube: packed bits", got, f"whole numbers (..., {self.words})")

@@ -3,6 +3,7 @@
 import io as streams
 import json
 import os
+import socket
 import subprocess
 import sys
 
@@ -602,6 +603,10 @@ def test_closed_streams(here):
         ("recover", "image.npy", "a.npy", "--std", "image.npy"),
         ("horizon", "height.npy", "there/../height.npy"),
         ("field", "depth.npy", "linked.npy"),
+        ("render", "depth.npy", "image.npy", "--source", "image.npy"),
+        ("render", "depth.npy", "a.npy", "--source", "image.npy", "--error", "image.npy"),
+        ("field", "depth.npy", "image.npy", "--source", "image.npy"),
+        ("recover", "image.npy", "height.npy", "--source", "height.npy"),
     ],
 )
 def test_an_output_never_replaces_the_input_or_another_output(here, capsys, arguments):
@@ -611,6 +616,51 @@ def test_an_output_never_replaces_the_input_or_another_output(here, capsys, argu
     files = {path: path.read_bytes() for path in here.glob("*.npy")}
     fails(capsys, 2, *arguments, "--backend", "numpy", says="--out")
     assert {path: path.read_bytes() for path in here.glob("*.npy")} == files
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (("render", "depth.npy", "a.npy", "--method", "horizon", "--tolerance", "1%"), "--tolerance"),
+        (("render", "depth.npy", "a.npy", "--azimuths", "16", "--tolerance", "0.01"), "--interreflection on"),
+        (("recover", "image.npy", "a.npy", "--picture", "p.npy"), "allowed: a .png"),
+    ],
+)
+def test_what_would_have_no_effect_is_refused(here, capsys, arguments, says):
+    """A tolerance that no method keeps to, a picture that is none."""
+    fails(capsys, 2, *arguments, "--backend", "numpy", says=says)
+
+
+def test_a_tolerance_of_light_between_surfaces(here, capsys):
+    """It is kept to with a method that is asked for too."""
+    options = "--azimuths", "16", "--tolerance", "5%", "--interreflection", "on", "--backend", "numpy"
+    assert run(capsys, "render", "depth.npy", "a.npy", *options)[0] == 0
+
+
+def test_a_folder_without_permission(here, capsys, monkeypatch):
+    """The error names the output, before any work and where a file cannot be made."""
+    (here / "locked").mkdir()
+    says = ["locked/a.npy: cannot write", "permission"]
+    with monkeypatch.context() as patch:
+        patch.setattr("os.access", lambda path, mode: "locked" not in str(path))
+        fails(capsys, 3, "render", "depth.npy", "locked/a.npy", says=says)
+    code, _, errors = run(capsys, "render", "depth.npy", "/proc/a.npy", "--backend", "numpy")
+    assert code == 3 and "/proc/a.npy: cannot write" in errors and ".tmp" not in errors
+
+
+def test_too_little_memory_is_told_before_any_worker_starts(here, capsys, monkeypatch):
+    """One error with what a worker needs."""
+    monkeypatch.setattr("skylamp.app.out_of_core.workers_of", lambda *_: pytest.fail("workers start"))
+    for memory in ("1MB", "100MB"):
+        fails(capsys, 1, "horizon", "depth.npy", "a.tif", "--memory", memory, says="one needs at least")
+    fails(capsys, 2, "horizon", "depth.npy", "a.tif", "--memory", "2gb", says="8GiB")
+
+
+def test_a_port_in_use(here, capsys):
+    """One error, and no address that shows another program's page."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        fails(capsys, 3, "view", "depth.npy", "--no-browser", "--port", port, says=["--port", "free"])
 
 
 def test_a_row_goes_with_a_plot(here, capsys):

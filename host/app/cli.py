@@ -92,7 +92,7 @@ def render(
     direct: opt.Direct = 0.0,
     sides: opt.Sides = "open",
     method: opt.Method = "auto",
-    tolerance: opt.Tolerance = "1%",
+    tolerance: opt.RenderTolerance = None,
     tail: opt.Tail = None,
     azimuths: opt.FixedAzimuths = None,
     max_distance: opt.MaxDistance = None,
@@ -116,24 +116,26 @@ def render(
     verbose: opt.Verbose = False,
 ) -> None:
     """Render a depth map under a source."""
-    out = output.needed(file, target, out, error)
-    output.check(out, as_json)
-    if error is not None:
-        output.check(error, as_json)
+    out = output.needed((file, source), target, out, error)
+    output.check(out, as_json, error=error)
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     _check_png(exposure, out, white, bits)
     surface = parsing.reflectance(albedo, specular, exponent)
     light = parsing.source(source, lamp, window, sun, direct)
+    asked, between = (
+        method != "auto" or azimuths or max_distance or hemicube or filled is not None,
+        parsing.interreflection(interreflection),
+    )
     options: dict[str, Any] = dict(
         method=method,
-        tolerance=parsing.tolerance(tolerance),
+        tolerance=_tolerance(tolerance, asked, between),
         tail=None if tail is None else parsing.tolerance(tail, "--tail"),
         azimuths=azimuths,
         max_distance=max_distance,
         quantity=quantity,
         hemicube=hemicube,
         filled=filled,
-        interreflection=parsing.interreflection(interreflection),
+        interreflection=between,
     )
     if machines.asked:
         to_read = height is False, spacing, nodata, resample, sides != "open"
@@ -171,6 +173,17 @@ def _write_image(
     if error is not None:
         output.write(error, done.error, raster)
     output.report(done, out, as_json, shape=done.image.shape, range=scale)
+
+
+def _tolerance(given: str | None, asked: Any, interreflection: bool | str) -> float:
+    """--tolerance; BadParameter where it is given to a method that is asked for, which keeps to none."""
+    if given is not None and asked and interreflection is not True:
+        raise typer.BadParameter(
+            "goes with --method auto, without --azimuths, --max-distance, --hemicube and --stride, or with"
+            " --interreflection on",
+            param_hint="--tolerance",
+        )
+    return parsing.tolerance(given or "1%")
 
 
 def _check_png(exposure: float | None, out: str, white: float | None, bits: int) -> None:
@@ -284,13 +297,11 @@ def recover(
     confidence, standard deviation (robust), candidates and the masks of ambiguous pixels and drilled columns;
     a .png holds depth in whole layers, 16 bit.
     """
-    out = output.needed(file, target, out)
+    out = output.needed((file, source), target, out)
     output.check(out, as_json, figure)
     _check_std(std, method, as_json)
-    picture = picture or _default_picture(out, method)
-    output.check_apart(file, out, std, picture, figure)
-    if picture is not None:
-        io.writable(picture)
+    picture = _checked_picture(picture, out, method)
+    output.check_apart((file, source), out, std, picture, figure)
     image, raster = parsing.radiance(file, white, resample)
     spacing = parsing.spacing_of(spacing, raster)
     light = parsing.source(source, lamp, window, sun)
@@ -329,9 +340,15 @@ def recover(
     )
 
 
-def _default_picture(out: str, method: str) -> str | None:
-    """The picture of a recovery, beside its output."""
-    return str(Path(out).with_suffix("")) + "_picture.png" if out != "-" and method == "robust" else None
+def _checked_picture(given: str | None, out: str, method: str) -> str | None:
+    """The picture of a recovery: as given, or beside its output."""
+    if given is None and (out == "-" or method != "robust"):
+        return None
+    picture = given or str(Path(out).with_suffix("")) + "_picture.png"
+    if not picture.lower().endswith(".png"):
+        raise typer.BadParameter(f"got {picture!r}; allowed: a .png", param_hint="--picture")
+    io.writable(picture)
+    return picture
 
 
 def _check_std(std: str | None, method: str, as_json: bool) -> None:
@@ -371,7 +388,7 @@ def horizon(
     verbose: opt.Verbose = False,
 ) -> None:
     """Compute horizons: sky-view factor, openness [rad] or slopes of the map; draw the sky above one node."""
-    out = output.either(file, target, out, picture)
+    out = output.either((file, source), target, out, picture)
     output.check_array_or_picture(out, picture, as_json)
     if bool(at) != bool(picture):
         raise typer.BadParameter(
@@ -446,7 +463,7 @@ def field(
     """Compute the visibility field: the visible solid angle [sr] of the source at every point of free space,
     (layers, rows, cols); draw the rays through points of one row.
     """
-    out = output.either(file, target, out, picture)
+    out = output.either((file, source), target, out, picture)
     output.check_array_or_picture(out, picture, as_json)
     if out and layer is None and out.lower().endswith(".png"):
         raise typer.BadParameter(
@@ -629,6 +646,7 @@ def view(
     with output.progress_bar("reading"):
         viewer = views.Viewer(views.read(file, height, spacing, resample, nodata), select(backend).name)
         viewer.scene(views.Settings())  # checks the map
+        views.check_port(port)
     output.message(f"http://127.0.0.1:{port} shows {file}; Ctrl-C ends it.")
     views.serve(viewer, port, browser)
 

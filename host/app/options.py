@@ -91,6 +91,13 @@ Sides = Annotated[Literal["open", "dark", "periodic"], typer.Option(help="Surrou
 Backend = Annotated[str, typer.Option(help="auto, or a name from `skylamp backends`")]
 Hemicube = Annotated[int, typer.Option(help="Nodes along an edge of the cube of directions, odd")]
 Tolerance = Annotated[str, typer.Option(help="Largest relative RMS error, with --method auto: 0.01 or 1%")]
+RenderTolerance = Annotated[
+    str | None,
+    unset(
+        help="Largest relative RMS error, with --method auto and of light between surfaces: 0.01 or 1%; 1%"
+        " unless given"
+    ),
+]
 Plot = Annotated[Path | None, unset("--plot", help="Draw a picture: .png, .svg or .pdf")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout")]
 Quiet = Annotated[

@@ -185,13 +185,14 @@ def write_quantity(
         raise bad("--workers", machines.workers, "at least 1")
     if machines.workers > 1 and machines.scheduler is not None:
         raise bad("--workers with --scheduler", machines.workers, "one of the two", "A cluster has its own.")
+    side = machines.side if machines.scheduler is None else None  # a CapacityError before any worker starts
     header = geo.header(file)
     scratch = Path(out).absolute().with_name(Path(out).name + ".scratch")  # workers have another folder
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     with locked(scratch):
         with workers_of(machines) as client:
             layout = layout_of_map(
-                Tiling(machines._replace(workers=len(client.nthreads())).side),
+                Tiling(side or machines._replace(workers=len(client.nthreads())).side),
                 header.values.shape,
                 header.spacing,
                 False,
@@ -370,10 +371,12 @@ def scratch_of(job: Job, resume: bool) -> Any:
     mark = hashlib.sha256(text.encode()).hexdigest()
     kept = _attributes(job.scratch)
     if resume and kept.get("skylamp", mark) != mark:
+        before, now = json.loads(kept["settings"]), json.loads(text)
+        names = sorted(name for name in before | now if before.get(name) != now.get(name))
         raise bad(
             f"--resume: {job.scratch}",
-            f"the scratch of {kept['settings']}",
-            f"the same file and settings, {text}",
+            "the scratch of " + ", ".join(f"{name} {before.get(name)!r}" for name in names),
+            "the same file and settings, " + ", ".join(f"{name} {now.get(name)!r}" for name in names),
             "Run it without --resume to begin anew.",
         )
     if kept and not resume:

@@ -45,19 +45,22 @@ def message(text: str) -> None:
         print(text, file=sys.stderr)
 
 
-def either(file: Path, target: str | None, out: str | None, *others: str | Path | None) -> str | None:
+Inputs = tuple[Path | str | None, ...]
+
+
+def either(inputs: Inputs, target: str | None, out: str | None, *others: str | Path | None) -> str | None:
     """The output, given as OUTPUT or as --out; :func:`check_apart` holds for it and the ``others``."""
     if target and out:
         raise typer.BadParameter(
             f"OUTPUT and --out are both given: {target} and {out}. Give one of them.", param_hint="--out"
         )
-    check_apart(file, target or out, *others)
+    check_apart(inputs, target or out, *others)
     return target or out
 
 
-def needed(file: Path, target: str | None, out: str | None, *others: str | Path | None) -> str:
+def needed(inputs: Inputs, target: str | None, out: str | None, *others: str | Path | None) -> str:
     """:func:`either`, which must be given."""
-    path = either(file, target, out, *others)
+    path = either(inputs, target, out, *others)
     if not path:
         raise typer.BadParameter(
             "no output is given. Give OUTPUT after the input, or --out FILE; - is stdout.", param_hint="--out"
@@ -65,13 +68,14 @@ def needed(file: Path, target: str | None, out: str | None, *others: str | Path 
     return path
 
 
-def check_apart(file: Path, *outputs: str | Path | None) -> None:
-    """BadParameter where an output would take the place of the input, or of another output."""
+def check_apart(inputs: Inputs, *outputs: str | Path | None) -> None:
+    """BadParameter where an output would take the place of an input, or of another output."""
     files = [Path(out) for out in outputs if out is not None and str(out) != "-"]
+    given = [Path(file) for file in inputs if file is not None]
     for number, out in enumerate(files):
-        if out.exists() and file.exists() and out.samefile(file):
+        if out.exists() and any(file.exists() and out.samefile(file) for file in given):
             raise typer.BadParameter(
-                f"{out} is the input, which would be lost. Give another output.", param_hint="--out"
+                f"{out} is an input, which would be lost. Give another output.", param_hint="--out"
             )
         if out.absolute() in [other.absolute() for other in files[:number]]:
             raise typer.BadParameter(
@@ -88,10 +92,12 @@ def check_array_or_picture(out: str | None, picture: Path | None, as_json: bool)
     check(out or "-", as_json and bool(out), picture)
 
 
-def check(out: str, as_json: bool, picture: Path | None = None) -> None:
-    """Before any work is done: can the result be put there?"""
+def check(out: str, as_json: bool, picture: Path | None = None, error: str | None = None) -> None:
+    """Before any work is done: can the result, a picture and the error be put there?"""
     if picture is not None:
         plot.drawable(picture)
+    if error is not None:
+        check(error, as_json)
     if out != "-":
         io.writable(out)
     elif as_json:

@@ -190,7 +190,10 @@ def byte_count(text: str) -> int:
     except (ValueError, KeyError):
         count = 0
     if count <= 0:
-        raise typer.BadParameter(f"got {text!r}; allowed: bytes, such as 8GB", param_hint="--memory")
+        raise typer.BadParameter(
+            f"got {text!r}; allowed: bytes, or with k, M, G, T or KiB, MiB, GiB, TiB: 6.5e9, 512MB, 8GiB",
+            param_hint="--memory",
+        )
     return count
 
 

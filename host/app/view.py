@@ -12,6 +12,7 @@ import base64
 import importlib
 import io as streams
 import math
+import socket
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +23,7 @@ import numpy as np
 
 from .. import io
 from ..directions import Azimuths
-from ..errors import lacking
+from ..errors import bad, lacking
 from ..images import Rendering
 from ..io import geotiff as geo
 from ..rendering import render
@@ -359,6 +360,15 @@ class Page:
 
     def _save_code(self) -> None:
         self.ui.download(self.viewer.code(self.settings).encode(), "skylamp_image.py")
+
+
+def check_port(port: int) -> None:
+    """InputError where another program listens on this port, or it is not allowed to this user."""
+    try:
+        with socket.create_server(("127.0.0.1", port)):
+            pass
+    except OSError as error:
+        raise bad("--port", f"{port} ({error.strerror})", "a port that is free") from None
 
 
 def serve(viewer: Viewer, port: int, opens: bool) -> None:

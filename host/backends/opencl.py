@@ -6,11 +6,13 @@ import contextlib
 import functools
 import math
 import mmap
+import os
 import re
 import time
 import warnings
 import weakref
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +40,7 @@ HUGE_PAGE = 2**21  # [byte], of Linux on x86-64 and, with pages of 4 KiB, on ARM
 # attempts to build a program: PoCL fails now and then where several processes build the same one into an
 # empty cache; of 112 processes, eight at a time, 5 failed with one attempt and none with three
 BUILDS = 3
+MOST_OF_ERROR = 200  # characters of a compiler's error that are shown; the rest are its options
 # registers a work-item on NVIDIA, of stems that wait for memory: with 64 more run at once. Measured on an
 # H200, 4096 x 4096 nodes: sweeps of 64 azimuths took 23.5 ms with 64 and 27 with 96 (of 16: 13.3 and 12.3),
 # about 31 with 48; slices of a sphere 31.4 ms with 64, 31.5 with 48, 32 with 80 or 96
@@ -305,8 +308,12 @@ def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tup
             break
         except backend.cl.Error as error:
             if attempt == BUILDS - 1:
-                text = f"{backend.name}: {stem}.cl does not build on {backend.device}: {error}"
-                raise BackendError(text) from error
+                cache = Path(os.environ.get("POCL_CACHE_DIR") or Path.home() / ".cache" / "pocl")
+                there = next((folder for folder in (cache, *cache.parents) if folder.exists()), cache)
+                advice = "" if os.access(there, os.W_OK) else f" {cache}, its cache, cannot be written to."
+                cause = str(error).strip().splitlines()[0][:MOST_OF_ERROR]
+                text = f"{backend.name}: {stem}.cl does not build on {backend.device}: {cause}.{advice}"
+                raise BackendError(f"{text} backend='numpy' needs no compiler.") from error
     backend.compile_seconds += time.perf_counter() - start
     return program
 

@@ -46,7 +46,7 @@ def reading(path: Path, kind: str = "") -> Iterator[None]:
         raise
     # the libraries raise OSError, ValueError, struct.error, zlib.error, SyntaxError, MemoryError ...
     except Exception as error:
-        text = " ".join(str(error).split()) or "no reason given"
+        text = " ".join(str(error.__cause__ or error).split()) or "no reason given"
         allowed = f"a whole {kind or path.suffix.lower()} file of real numbers"
         raise bad(f"{path}: cannot read", f"{type(error).__name__}: {text}", allowed) from error
 
@@ -74,6 +74,8 @@ def destination(path: Path) -> Path:
         raise bad(f"{path}: cannot write", f"no folder {path.parent}", allowed, "Create the folder first.")
     if path.exists() and not path.is_file():
         raise bad(f"{path}: cannot write", "a folder or a device of that name", "a file")
+    if not os.access(path.parent, os.W_OK):
+        raise bad(f"{path}: cannot write", f"no permission for folder {path.parent}", "a folder to write to")
     return path
 
 
@@ -88,6 +90,8 @@ def folder(path: StrPath) -> Path:
     except (FileExistsError, NotADirectoryError):
         got = "a file of that name, or a file among its parents"
         raise bad(f"{path}: not a folder", got, "a folder, or a name that is free") from None
+    except OSError as error:
+        raise bad(f"{path}: cannot be made", error.strerror, "a folder to write to") from error
     return path
 
 
@@ -100,8 +104,11 @@ def replacing_file(path: StrPath) -> Iterator[Path]:
     try:
         yield temporary
         os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename == str(temporary):  # it could not be made
+            raise bad(f"{path}: cannot write", error.strerror, "a file in a folder to write to") from error
         raise
 
 

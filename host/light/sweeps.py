@@ -556,8 +556,8 @@ def _check_search(backend: Backend, relief: float, rows: int, azimuths: int) -> 
         raise CapacityError(
             f"A relief of {relief:.3g} on a map that repeats must be followed over {rows:,} rows in"
             f" {azimuths} azimuths; {backend.name} takes {backend.most_searched_rows // azimuths:,} at most."
-            " Choose a compiled backend, or give max_distance, or, if the relief is too large, depth and spacing"
-            " in one unit."
+            " Choose a compiled backend, or give max_distance, or, if the relief is too large, depth and"
+            " spacing in one unit."
         )
 
 
