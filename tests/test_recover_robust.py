@@ -782,6 +782,35 @@ def test_a_small_lamp_is_named(fast):
     assert any("Small lamp" in warning for warning in got.warnings)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "source, narrow",
+    [
+        (sl.Window(x=(8, 38), y=(9, 33)), False),
+        (sl.Window(x=(-6, 14), y=(-4, 20)), False),
+        (sl.Lamp(corner=(10, 12, -6), edges=((24, 0, 0), (0, 20, 0))), False),
+        (sl.Window(x=(4, 44), y=(22, 24)), True),
+        (sl.Lamp(corner=(4, 22, -6), edges=((40, 0, 0), (0, 2, 0))), True),
+    ],
+)
+def test_doubt_under_rectangles(fast, source, narrow):
+    """Of depths from exact images about as many as should be lie within one and two std; narrow rectangles,
+    of which that is not so, are told."""
+    off = []
+    for seed in (31, 32, 33):
+        waves = np.random.default_rng(seed).normal(size=(48, 25)) * np.exp(1j * seed)
+        row, col = np.fft.fftfreq(48)[:, None], np.fft.rfftfreq(48)
+        relief = np.fft.irfft2(48 * waves * np.exp(-((24 * np.hypot(row, col)) ** 2)), (48, 48))
+        depth = 6 + 8 * (relief - relief.min()) / np.ptp(relief)
+        scene = sl.Scene(depth, albedo=0.6, sides="dark")
+        image = sl.render(scene, source, tolerance=0.003, backend=fast, interreflection=False).image
+        got = recover(image, source, 0.6, "dark", layers=24, backend=fast, interreflection=False)
+        assert any(text.startswith("Narrow source") for text in got.warnings) == narrow
+        off.append(np.abs(got.depth - depth) / got.std)
+    if not narrow:
+        assert np.mean(np.array(off) < 1) > 0.5 and np.mean(np.array(off) < 2) > 0.8
+
+
 def test_time_is_kept_and_the_best_so_far_is_given(fast, monkeypatch):
     """A millionth of a second: a whole map, a warning, no error, and not all flat surfaces are tried."""
     depth, image = pair("bumps", "sky")

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..sources import Sky
+from ..sources import Lamp, Sky, Window
 from .albedo import PRIOR_WEIGHT
 from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
@@ -32,6 +32,10 @@ PROBE = 0.01  # noise of the posterior's probes [unit of the pyramid's images]; 
 # errors of the model count as noise: at least so much [unit of the pyramid's images], and so many times the
 # misfit beyond the image's noise; performance/doubt.py
 MODEL_ERROR, MISFIT_WEIGHT = 5e-4, 2.3
+# times that under one window or rectangular lamp, whose edges cast light that changes within a node. Of six
+# smooth surfaces under three windows and two lamps 63 to 84 % of the true depths are then within 1 std and 88
+# to 99 % within 2, with 1 36 to 53 and 65 to 88 %, with 5 80 to 96 and 95 to 99 %
+EDGED = 3.0
 # weights of the distances to three other surfaces: that of a finer model, those of the search, and that with
 # a more even albedo; the first two by performance/doubt.py
 FINER_WEIGHT, RIVAL_WEIGHT, UNEVEN_WEIGHT = 1.2, 1.0, 1.4
@@ -142,7 +146,15 @@ def by_noise(judged: Judged) -> np.ndarray:
     pyramid.problem(level).set_targets(pyramid.images[level])
     noise = (pyramid.noise * 0.5**level) ** 2
     beyond = MISFIT_WEIGHT**2 * np.maximum(judged.misfit - noise, 0)
-    return per_noise**2 * (noise + beyond + MODEL_ERROR**2)
+    return per_noise**2 * (noise + beyond + model_error(pyramid) ** 2)
+
+
+def model_error(pyramid: Pyramid) -> float:
+    """Errors of the model that count as noise [unit of the pyramid's images]."""
+    one = pyramid.sources[0] if len(pyramid.sources) == 1 else None
+    return MODEL_ERROR * (
+        EDGED if isinstance(one, Window) or isinstance(one, Lamp) and one.corner is not None else 1.0
+    )
 
 
 def by_finer_model(judged: Judged) -> np.ndarray:
@@ -225,7 +237,7 @@ def refitted(multigrid: Multigrid, level: int, start: np.ndarray, z: np.ndarray)
 def misfit_around(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
     """Mean squares of model - image around every node, plus those of noise and of the least model error."""
     squares = (pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2
-    least: float = MODEL_ERROR**2 + (pyramid.noise * 0.5**level) ** 2
+    least: float = model_error(pyramid) ** 2 + (pyramid.noise * 0.5**level) ** 2
     return blurred(squares, 3) + least
 
 
