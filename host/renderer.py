@@ -50,7 +50,7 @@ from .reflectance import BRDF, Phong
 from .render_options import Options, sectors_of
 from .samples import lit_mean
 from .scene import Scene
-from .sources.integrals import chords, integrals
+from .sources.integrals import integrals
 from .sources.solids import Dome, upright
 
 DEFAULT_HEMICUBE = 9  # of the hemicube of method "lattice", unless given
@@ -561,7 +561,7 @@ def _by_slices(
     """A lamp or window in as many slices as planned: (rows, cols) float32; ``on_device``: a DeviceImage."""
     assert plan.azimuths is not None, "a plan of slices says how many"
     brightness = (
-        chords(integrals(sources.Sky(source.brightness), np.inf, True), CHORD_AZIMUTHS, CHORD_KNOTS)
+        integrals(sources.Sky(source.brightness), np.inf, True).chords(CHORD_AZIMUTHS, CHORD_KNOTS)
         if callable(source.brightness)
         else number_of(source)
     )

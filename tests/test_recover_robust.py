@@ -244,6 +244,7 @@ def test_the_std_is_as_large_as_the_errors(fast):
     assert (within < 1).mean() > 0.5 and (within < 2).mean() > 0.8 and np.median(within) > 0.1
 
 
+@pytest.mark.slow
 def test_the_std_knows_that_open_sides_hide_the_place_under_a_sky(fast):
     """Overcast light and open sides: 5 nodes too shallow as a whole, with a median std of 0.8."""
     y, x = np.mgrid[:32, :32]

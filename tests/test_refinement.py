@@ -469,6 +469,7 @@ def test_a_low_sun_behind_sharp_crests(fast, azimuth, elevation, tolerance):
     assert errors(found.ravel(), exact.ravel()).rms < tolerance
 
 
+@pytest.mark.slow
 def test_a_sun_beside_the_end_of_a_wall(fast):
     """An upright edge divides the disc, at few nodes, so that its sectors count: 1.9 tolerances off."""
     height = np.zeros((192, 192))
@@ -845,6 +846,7 @@ def test_a_mean_that_samples_do_not_know(fast):
     assert [step.units for step in out.plan.steps] == [16, 64] and not out.warnings
 
 
+@pytest.mark.slow
 def test_a_plane_in_the_fringe_of_a_beam(fast):
     """Far from the beam its light falls off by half in a few spacings: slices had an error of 4 % of the
     mean, rays follow it.

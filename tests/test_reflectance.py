@@ -960,6 +960,7 @@ def reflected(shape, deep, surface, window, brightness, count=600):
     return image * (x1 - x0) * (y1 - y0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent, tolerance", [(5, 0.003), (50, 0.01)])
 def test_lobes_of_uneven_windows_are_refined(fast, exponent, tolerance):
     """A step of brightness falls between slices: .7 and 2.6 % off at any tolerance, without a word."""
@@ -1033,6 +1034,7 @@ def test_bright_patches_that_are_wider_than_a_lobe(fast, exponent, degrees):
     np.testing.assert_allclose(out.image, 1 + 9 * (1 - edge ** (exponent + 2)), rtol=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [600, 20_000])
 def test_the_suns_disc_in_a_narrow_lobe(fast, exponent):
     """As a point it gave .3 and 11 % too much at any tolerance."""
@@ -1062,6 +1064,7 @@ def test_a_narrow_lobe_of_a_brdf_is_told(fast, exponent, is_told):
         assert (error > 0.01) == told == is_told, (error, image.warnings)
 
 
+@pytest.mark.slow
 def test_a_lobe_that_cannot_be_refined_is_told(fast):
     scene = sl.Scene(np.full((12, 14), 9.0), reflectance=sl.Phong(0.3, 0.4, 50))
     window = sl.Window(x=(3, 11), y=(2, 9), brightness=lambda L: 1.0 * (L[..., 0] > 0.1) + 0.1)

@@ -508,6 +508,7 @@ def test_a_low_sun_behind_sharp_crests_in_tiles(fast):
     assert rms(tiles - exact) < 0.003 * exact.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("brightness", [1.0, (0.0, 1.0, 0.5)])
 def test_an_error_of_sweeps_among_towers_is_said(fast, brightness):
     """Of a colour that is dark nothing is seen, and the others tell; within twice the true error."""
@@ -790,6 +791,7 @@ def test_every_worker_takes_a_device_of_its_own(dem, fast):
     assert_bits_equal(found.values, svf(dem.chunk(y=100), "numpy").compute(scheduler="sync").values)
 
 
+@pytest.mark.slow
 def test_rare_ground_decides_on_light_between_surfaces(fast):
     """Two canyons that a grid of windows does not meet: the estimate is near that of the whole map."""
     heights = np.zeros((256, 1024), np.float32)

@@ -17,7 +17,7 @@ from skylamp.light.horizon import COPIED
 from skylamp.radiometry import disc_moment, polygon_moment, rectangle_solid_angle
 from skylamp.sources import solids
 from skylamp.sources.cie import towards
-from skylamp.sources.integrals import Integrals, chords
+from skylamp.sources.integrals import Integrals
 from skylamp.sources.tables import diamond, elevation_of
 
 slices = importlib.import_module("skylamp.light.slices")
@@ -33,7 +33,7 @@ def lit(light):
 
 def table_of(light, turns, knots):
     """Integrals along chords, nothing taken apart."""
-    return chords(Integrals(sl.Sky(light), math.inf, True), turns, knots)
+    return Integrals(sl.Sky(light), math.inf, True).chords(turns, knots)
 
 
 def made(backend, depth, solid, light=1.0, step=1.0, sides="open", **options):

@@ -13,7 +13,7 @@ from ..backends.resident import DeviceImage
 from ..errors import bad
 from ..samples import Samples, picked, samples_of
 from ..scene import Scene
-from ..sources.integrals import Integrals, chords
+from ..sources.integrals import Integrals
 from ..sources.solids import Ball, Quad, aperture, rectangle, upright
 from . import unoccluded
 from .base import Estimate, Later, LightMethod, estimated, judged
@@ -110,7 +110,7 @@ class Sliced(LightMethod):
         self.factors: tuple[np.ndarray, np.ndarray] | None = None
         self.brightness: Any = 1.0 if rays else source.brightness
         if sky is not None and not rays:
-            self.brightness = chords(sky, CHORD_AZIMUTHS, CHORD_KNOTS)
+            self.brightness = sky.chords(CHORD_AZIMUTHS, CHORD_KNOTS)
         self.shifts = [SHIFT]
         if isinstance(self.solid, Ball):
             self.slices, self.mean = self._image(units)

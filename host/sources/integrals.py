@@ -321,6 +321,7 @@ class Integrals:
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
         self._sums = [_cumulative(part) for part in parts]
         self.nbytes = sum(part.nbytes for part in self._sums)
+        self._chords: dict[tuple[int, int], np.ndarray] = {}
         is_smooth = math.isinf(tolerance) or self._misplaced() <= MISPLACED_SHARE * tolerance
         self.knots = SKY_KNOTS if is_smooth else FINE_KNOTS
         del self._source  # whose life ends that of these tables
@@ -488,6 +489,22 @@ class Integrals:
         above: np.ndarray = ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
         return above
 
+    def chords(self, turns: int, knots: int) -> np.ndarray:
+        """The brightness of a lamp or window as slices take it, without small bright parts.
+
+        The integrals of :meth:`above` per radian, over even cells of the diamond angle: (turns, knots, 2)
+        float32; see opencl/slices.cl. Kept, not to be changed.
+        """
+        if (turns, knots) not in self._chords:
+            place = 4 * np.arange(turns + 1) / turns
+            cosine = np.where(place < 2, 1 - place, place - 3)
+            sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
+            azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
+            light = self.above(azimuth[:-1], azimuth[1:], np.linspace(0, 1, knots), True)
+            per_radian = (light / np.diff(azimuth)[:, None]).transpose(1, 2, 0)
+            self._chords[turns, knots] = np.ascontiguousarray(per_radian, np.float32)
+        return self._chords[turns, knots]
+
 
 _of_formulas = functools.lru_cache(16)(Integrals)  # 1.3 MB each, 20 to 60 ms to make
 
@@ -579,20 +596,6 @@ def cut(values: np.ndarray, parts: Sequence[BrightPart], L: np.ndarray) -> np.nd
             within = np.flatnonzero(cosine > math.sqrt(1 - sine * sine))
             here[within] = np.minimum(here[within], part.limit)
     return flat.reshape(values.shape)
-
-
-def chords(sky: Integrals, turns: int, knots: int) -> np.ndarray:
-    """The brightness of a lamp or window as slices take it, without small bright parts.
-
-    The integrals of :meth:`Integrals.above` per radian, over even cells of the diamond angle: (turns, knots,
-    2) float32; see opencl/slices.cl.
-    """
-    place = 4 * np.arange(turns + 1) / turns
-    cosine = np.where(place < 2, 1 - place, place - 3)
-    sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
-    azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
-    light = sky.above(azimuth[:-1], azimuth[1:], np.linspace(0, 1, knots), True) / np.diff(azimuth)[:, None]
-    return np.ascontiguousarray(light.transpose(1, 2, 0), np.float32)
 
 
 def _gentle_steps(one: np.ndarray, other: np.ndarray) -> np.ndarray:
