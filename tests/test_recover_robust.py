@@ -491,6 +491,7 @@ def test_images_with_other_coordinates_are_refused(fast):
             recovered(image, lamp, **{name: 0.5 * image[::-1]})
 
 
+@pytest.mark.slow
 def test_the_axes_are_those_of_any_image_that_has_them(fast):
     """A plain array first: the coordinates of the second image were ignored, its depths 3 layers wrong."""
     xarray = pytest.importorskip("xarray")
@@ -725,6 +726,7 @@ def test_level_ground_is_not_clipped(fast):
     assert not any(text.startswith("Clipped") for text in found.warnings)
 
 
+@pytest.mark.slow
 def test_every_image_is_judged(fast):
     """The first alone was: the second in counts had no warning."""
     lights, (sky, lamp) = wavy()

@@ -493,6 +493,7 @@ def test_more_near_rows_keep_what_was_refined(fast):
     assert (planner.method.units, planner.method.sectors) == kept == (2 * planner.units, 2 * planner.sectors)
 
 
+@pytest.mark.slow
 def test_what_judges_a_finished_image_has_more_azimuths(fast):
     """It had 288, and an image of 768 under a band of light was 1.4 tolerances off without a warning."""
     sky = sl.Sky(lambda L: np.where(-L[..., 2] < 0.03, 500.0, 1.0))
@@ -515,6 +516,7 @@ def test_a_plan_names_light_from_below_the_lowest_slope_that_is_searched(fast):
         assert search.why.count("of the light (RMS) comes from below") == wanted
 
 
+@pytest.mark.slow
 def test_a_low_sun_in_its_glow_over_a_map_that_repeats(fast):
     """Both were swept: 4.3 tolerances. The glow reaches down to the level, and 64 periods are searched."""
     y, x = np.mgrid[:128, :128]

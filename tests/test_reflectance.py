@@ -560,6 +560,7 @@ def test_a_mirror_shows_the_pixel_of_the_environment_map(backend):
         )  # depth in float32 tilts it by 1e-5
 
 
+@pytest.mark.slow
 def test_mirrors_on_rough_ground(fast):
     """Against the oracle, node by node: the sky, or the ground that a ray meets first, holes apart."""
     ground = np.random.default_rng(0).uniform(0.2, 1, GROUND.shape)

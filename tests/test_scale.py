@@ -477,6 +477,7 @@ def test_a_low_sun_behind_far_ground_is_said(fast):
         assert all(1 <= float(text.split()[9]) < 10 for text in told), said
 
 
+@pytest.mark.slow
 def test_shadows_of_far_ground_along_the_border(fast):
     """Rays of nodes on the border leave the map before a wall that those beside meet: nodes between had half
     of the sun, 31 rows of them, and an error of 39 %.
