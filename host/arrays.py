@@ -357,8 +357,11 @@ def axes_of(labels: Labels | None) -> tuple[float, float]:
 
 
 def lies_on(labels: Labels | None, values: Any, what: str) -> None:
-    """InputError where a DataArray that goes with a map has its axes exchanged, or other coordinates."""
-    other = labels_of(values)
+    """InputError where a DataArray that goes with a map has its axes exchanged, or other coordinates.
+
+    ``values``: that, its labels, or anything that has none.
+    """
+    other = values if isinstance(values, Labels) else labels_of(values)
     if labels is None or other is None:
         return
     if other.dims[:2] == labels.dims[::-1]:

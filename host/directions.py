@@ -165,12 +165,19 @@ class Azimuths:
         return self if axes == (1.0, 1.0) else Azimuths(self.count, tuple(np.sort(edges).tolist()))
 
     @classmethod
-    def placed(cls, count: int, weights: np.ndarray) -> Azimuths:
-        """``count`` sectors, half spread evenly, half by ``weights`` (n,), the light of n even sectors."""
+    def placed(cls, count: int, weights: np.ndarray, axes: tuple[float, float] = (1.0, 1.0)) -> Azimuths:
+        """``count`` sectors, half spread evenly, half by ``weights`` (n,), the light of n even sectors.
+
+        In the axes of a map, see ``Scene.axes``, in which the weights are too. The first sector begins in the
+        east all the same, so that the sectors do not depend on them.
+        """
         weights = np.asarray(weights, float)
+        weights = np.roll(weights[::-1], len(weights) // 2) if axes[0] < 0 else weights
+        weights = weights[::-1] if axes[1] < 0 else weights
         share = np.concatenate([[0], np.cumsum(0.5 * weights / weights.sum() + 0.5 / len(weights))])
         turn = np.linspace(0, 2 * np.pi, len(weights) + 1)
-        return cls(count, tuple(np.interp(np.linspace(0, 1, count + 1), share / share[-1], turn)))
+        sectors = cls(count, tuple(np.interp(np.linspace(0, 1, count + 1), share / share[-1], turn)))
+        return sectors.on_axes(axes)
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:

@@ -1,10 +1,10 @@
 """Reflectance of surfaces (docs/explanation; the notes on radiometry).
 
 A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors
-(..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows, both
-within the surface. A reflectance is energy-bounded if its directional-hemispheric reflectance, the integral
-of f cos(theta_o), is at most 1 for every incoming direction, and reciprocal (Helmholtz) if f(incoming,
-outgoing) = f(outgoing, incoming).
+(..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows (of a
+DataArray, to the east and to the south), both within the surface. A reflectance is energy-bounded if its
+directional-hemispheric reflectance, the integral of f cos(theta_o), is at most 1 for every incoming
+direction, and reciprocal (Helmholtz) if f(incoming, outgoing) = f(outgoing, incoming).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from .arrays import labels_of
 from .checks import at, real_array
 from .errors import bad
 from .radiometry import directional_hemispheric
@@ -34,6 +35,7 @@ class Lambertian:
     albedo: float | np.ndarray = 0.8
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", {"albedo": labels_of(self.albedo)})
         object.__setattr__(self, "albedo", share(self.albedo, "albedo"))
 
     def brdf(self, incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
@@ -307,8 +309,10 @@ def bounded(total: float | np.ndarray) -> None:
 
 
 def _shares(reflectance: Phong | Mirror) -> None:
-    values = []
-    for name in ("albedo", "specular"):
+    values, names = [], ("albedo", "specular")
+    # of maps that are DataArrays, which must lie on the scene's
+    object.__setattr__(reflectance, "labels", {name: labels_of(getattr(reflectance, name)) for name in names})
+    for name in names:
         value = share(getattr(reflectance, name), f"{type(reflectance).__name__}: {name}")
         object.__setattr__(reflectance, name, value)
         values.append(np.asarray(value, float))

@@ -547,7 +547,7 @@ def _sky_above_horizons(
     sectors, table = sectors_of(azimuths, scene.axes), None
     if callable(sky.brightness):
         if not isinstance(azimuths, Azimuths) and (profile := sources.azimuth_profile(sky)) is not None:
-            sectors = Azimuths.placed(len(sectors), profile)
+            sectors = Azimuths.placed(len(sectors), profile, scene.axes)
         table = integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
     ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)
     sweeps = Sweeps(engine, ground, rays, table)

@@ -320,7 +320,7 @@ def _windows(heights: np.ndarray) -> list[tuple[Any, float]]:
     if not len(order):
         return []
     share = np.cumsum(steep[order] + max(float(steep[order].mean()), 1e-300))
-    ends = np.searchsorted(share, share[-1] * (np.arange(1, WINDOWS) / WINDOWS))
+    ends = np.searchsorted(share, share[-1] * (np.arange(1, WINDOWS) / WINDOWS) * (1 + 1e-9), "right")
     groups = [group for group in np.split(order, ends) if len(group)]
     scale = heights.size / (len(parts) * heights[parts[0]].size)  # windows may overlap
     return [(parts[group[len(group) // 2]], scale * len(group)) for group in groups]

@@ -114,8 +114,9 @@ class Scene:
         labels = labels_of(given)
         _set(self, labels=labels, spacing=positive_number(self.spacing, "spacing"), axes=axes_of(labels))
         one_of(self.sides, tuple(SIDES), "sides")
-        for name in ("mask", "albedo"):
-            lies_on(labels, getattr(self, name), name)
+        maps = getattr(self.reflectance, "labels", {})
+        for name, beside in [("mask", self.mask), ("albedo", self.albedo), *maps.items()]:
+            lies_on(labels, beside, name)
         if chunked(given) is not None:
             self._hold(chunked(given), height)
             return
@@ -176,6 +177,8 @@ class Scene:
         if albedo is None:
             surface = _reflectance(self.albedo, self.reflectance, shape, None)
             albedo = surface.albedo
+            if np.ndim(albedo) > 1:
+                albedo = importlib.import_module("dask.array").from_array(albedo, chunks=-1)
         elif self.reflectance is not None or albedo.shape not in (shape, (*shape, 3)):
             raise bad(
                 "albedo: a map of a lazy scene",

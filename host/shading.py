@@ -159,6 +159,8 @@ class _Reflection:
         self.surface = scene.reflectance
         self.tilts = tilts(scene).astype(float)
         self.frames = frames(*self.tilts)
+        # of a DataArray x of the frames is to the east and y to the south, in any order of rows and columns
+        self.frames = self.frames * np.array([*scene.axes, 1.0])[:, None]
         self.outgoing = self.frames @ [0.0, 0.0, -1.0]
 
     def __call__(self, greys: Sequence[sources.Source], L: np.ndarray, weights: np.ndarray) -> np.ndarray:

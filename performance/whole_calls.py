@@ -47,6 +47,22 @@ def _lamp(scene: sl.Scene) -> sl.Lamp:
     return sl.Lamp(center=(cols / 2, rows / 2, -cols / 8), radius=cols / 16)
 
 
+def _panorama() -> np.ndarray:
+    """(512, 1024): patches of sky and a small sun."""
+    image = 0.2 + 0.3 * np.random.default_rng(0).random((32, 64)).repeat(16, 0).repeat(16, 1)
+    image[100:103, 170:173] = 5e3
+    return image
+
+
+PANORAMA = _panorama()
+KEPT_MAP = sl.Sky(sl.environment_map(PANORAMA))
+KEPT_FUNCTION = sl.Sky(lambda L: 1 + 5 * np.maximum(0, L @ np.array([0.6, 0.48, -0.64])) ** 8)
+
+
+def _direct(scene: sl.Scene, sky: sl.Sky, name: str) -> sl.Rendering:
+    return sl.render(scene, sky, backend=name, interreflection=False)
+
+
 CALLS = {
     "Scene.from_height": Call(lambda scene, name: None),
     "horizons, 8 azimuths": Call(lambda scene, name: sl.horizons(scene, 8, name), 4096),
@@ -59,6 +75,11 @@ CALLS = {
         lambda scene, name: sl.render(scene, sl.Sky(), backend=name, interreflection=False)
     ),
     "tolerance 0.01, all light": Call(lambda scene, name: sl.render(scene, sl.Sky(), backend=name), 4096),
+    "environment map, new": Call(
+        lambda scene, name: _direct(scene, sl.Sky(sl.environment_map(PANORAMA)), name), 4096
+    ),
+    "environment map, kept": Call(lambda scene, name: _direct(scene, KEPT_MAP, name), 4096),
+    "function, kept": Call(lambda scene, name: _direct(scene, KEPT_FUNCTION, name), 4096),
     "lattice, M = 9": Call(
         lambda scene, name: sl.render(scene, sl.Sky(), "lattice", backend=name, hemicube=9), 8192
     ),

@@ -2,6 +2,7 @@
 
 import gc
 import math
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
@@ -512,19 +513,27 @@ def test_integrals_are_kept_with_what_they_are_of(monkeypatch):
     with pytest.raises(ValueError, match="read-only"):
         rgb.image[0] = 1
 
-    state, sun = {"sky": 1.0, "sun": 1e6}, (0.0, 0.0, -1.0)
-    glow = lambda L: state["sky"] + state["sun"] * (L[..., 2] < -0.9999999)  # a disc of 0.03 degrees
-    both = [level(glow, suns=(sun,)) for _ in range(2)]
-    assert both[0] == both[1] and len(made) == 4
-    state["sun"] = 2e6
-    assert level(glow, suns=(sun,)) > both[0] + 0.2 and len(made) == 5
+    copied = pickle.loads(pickle.dumps(rgb))
+    with pytest.raises(ValueError, match="read-only"):
+        copied.image[0] = 1
+
+    state, sun = {"sky": 1.0, "radius": 0.03}, (0.0, 0.0, -1.0)
+    wide = lambda L: state["sky"] + L[..., 2] ** 2
+    assert level(wide) == level(wide) and len(made) == 4
     state["sky"] = 2.0
-    assert level(glow, suns=(sun,)) > both[0] + 3 and len(made) == 6
-    owner = id(glow)
-    assert sum(key[0] == owner for key in kept.of) == 3
-    del glow
+    assert level(wide) == pytest.approx(level(lambda L: 2 + L[..., 2] ** 2), rel=1e-12) and len(made) == 6
+    owner = id(wide)
+    assert sum(key[0] == owner for key in kept.of) == 2
+    del wide
     gc.collect()
     assert not any(key[0] == owner for key in kept.of)
+
+    spot = lambda L: 1 + 1e7 * (L[..., 2] < -np.cos(np.radians(state["radius"])))  # within one base cell
+    for named in ({}, {"suns": [sun]}):
+        levels = []
+        for state["radius"] in (0.03, 0.06):
+            levels.append(level(spot, **named))
+        assert levels[1] > 2 * levels[0]
     monkeypatch.setattr(integrals, "KEPT_BYTES", 1)
     last = sl.environment_map(image[..., 0] + 1)
     level(last)

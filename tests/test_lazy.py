@@ -445,3 +445,15 @@ def test_windows_carry_no_tables_of_the_sky(fast):
         assert tasks and all(len(pickle.dumps(task)) < 1e4 for task in tasks.values())
         keys.append(set(tasks))
     assert keys[0] == keys[1]
+
+
+def test_a_map_as_reflectance_of_a_lazy_scene(fast):
+    """Lambertian with a map is the same as that map as albedo."""
+    albedo = np.random.default_rng(3).random(HEIGHTS.shape)
+    found, expected = (
+        sl.render(
+            sl.Scene.from_height(dem().chunk(40), **surface), sl.Sky(), backend=fast, azimuths=4, tiling=TILES
+        )
+        for surface in ({"reflectance": sl.Lambertian(albedo)}, {"albedo": albedo})
+    )
+    assert_bits_equal(found.image.values, expected.image.values)

@@ -170,3 +170,63 @@ def test_sectors_lie_the_same_way_in_each_order(dem, fast, azimuths):
         for order in ORDERS[1:]:
             turned = dem[:: order[0], :: order[1]]
             alike(sl.render(sl.Scene.from_height(turned), sky, **options, **more).image, expected, 3e-3)
+
+
+REFLECTANCES = {
+    "grooves": lambda dem: sl.grooves(),
+    "phong": lambda dem: sl.Phong(0.3 + 0.002 * dem, 0.3, 20),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("surface", REFLECTANCES)
+def test_surfaces_reflect_the_same_way_in_each_order(dem, fast, surface):
+    """The frame of a BRDF lies east and south, maps of reflectance where their coordinates are."""
+    sky = sl.Sky(lambda L: 0.1 + 3 * np.maximum(0, -L[..., 0]) ** 2)
+    reflectance, options = REFLECTANCES[surface], dict(backend=fast, azimuths=24)
+    expected = sl.render(sl.Scene.from_height(dem, reflectance=reflectance(dem)), sky, **options).image
+    for order in ORDERS[1:]:
+        turned = dem[:: order[0], :: order[1]]
+        scene = sl.Scene.from_height(turned, reflectance=reflectance(turned))
+        alike(sl.render(scene, sky, **options).image, expected, 2e-3)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda dem: sl.Scene.from_height(dem[::-1], reflectance=sl.Lambertian(dem * 0 + 0.5)),
+        lambda dem: sl.Scene.from_height(dem[:, ::-1], reflectance=sl.Mirror(dem * 0 + 0.5)),
+        lambda dem: sl.render(
+            sl.Scene.from_height(dem[::-1]), sl.Window(aperture=dem > 0), method="lattice", hemicube=3
+        ),
+        lambda dem: sl.render(
+            sl.Scene.from_height(dem[:, ::-1]),
+            sl.Lamp(volume=(dem > 0).expand_dims(layer=3)),
+            method="lattice",
+            hemicube=3,
+        ),
+    ],
+)
+def test_maps_of_reflectance_and_light_lie_on_the_scene(dem, make):
+    """A DataArray whose coordinates run the other way is refused, as an albedo or a mask is."""
+    with pytest.raises(sl.InputError, match=r"(albedo|specular|aperture|volume): coordinate '[xy]'"):
+        make(dem)
+
+
+def test_sectors_by_brightness_lie_the_same_way_in_each_order(dem, fast):
+    """Few azimuths under a sky with a sun's glow begin in the east, not in the first column."""
+    sky = sl.Sky(sl.cie_clear((150.0, 25.0)))
+    options = dict(backend=fast, azimuths=7, quantity="irradiance", interreflection=False)
+    expected = sl.render(sl.Scene.from_height(dem), sky, **options).image
+    for order in ORDERS[1:]:
+        turned = dem[:: order[0], :: order[1]]
+        alike(sl.render(sl.Scene.from_height(turned), sky, **options).image, expected, 3e-3)
+
+
+def test_the_zenith_of_a_map_is_one_place():
+    """Also where a mirrored direction has a zero with a sign."""
+    image = np.ones((8, 16))
+    image[0, :4] = 3
+    light = sl.environment_map(image)
+    zeros = [np.array([x, y, -1.0]) for x in (0.0, -0.0) for y in (0.0, -0.0)]
+    assert len({float(light(L)) for L in zeros}) == 1

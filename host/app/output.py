@@ -71,9 +71,9 @@ def needed(inputs: Inputs, target: str | None, out: str | None, *others: str | P
 def check_apart(inputs: Inputs, *outputs: str | Path | None) -> None:
     """BadParameter where an output would take the place of an input, or of another output."""
     files = [Path(out) for out in outputs if out is not None and str(out) != "-"]
-    given = [Path(file) for file in inputs if file is not None]
+    given = [file for file in inputs if file is not None and os.path.exists(file)]
     for number, out in enumerate(files):
-        if out.exists() and any(file.exists() and out.samefile(file) for file in given):
+        if out.exists() and any(out.samefile(file) for file in given):
             raise typer.BadParameter(
                 f"{out} is an input, which would be lost. Give another output.", param_hint="--out"
             )

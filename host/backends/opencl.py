@@ -6,13 +6,11 @@ import contextlib
 import functools
 import math
 import mmap
-import os
 import re
 import time
 import warnings
 import weakref
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -308,12 +306,12 @@ def _program(backend: OpenclBackend, stem: str, lanes: int, constants: tuple[tup
             break
         except backend.cl.Error as error:
             if attempt == BUILDS - 1:
-                cache = Path(os.environ.get("POCL_CACHE_DIR") or Path.home() / ".cache" / "pocl")
-                there = next((folder for folder in (cache, *cache.parents) if folder.exists()), cache)
-                advice = "" if os.access(there, os.W_OK) else f" {cache}, its cache, cannot be written to."
                 cause = str(error).strip().splitlines()[0][:MOST_OF_ERROR]
-                text = f"{backend.name}: {stem}.cl does not build on {backend.device}: {cause}.{advice}"
-                raise BackendError(f"{text} backend='numpy' needs no compiler.") from error
+                raise BackendError(
+                    f"{backend.name}: {stem}.cl does not build on {backend.device}: {cause}. Perhaps the"
+                    " compiler's cache cannot be written to: see skylamp doctor. backend='numpy' needs no"
+                    " compiler."
+                ) from error
     backend.compile_seconds += time.perf_counter() - start
     return program
 

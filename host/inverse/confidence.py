@@ -151,10 +151,9 @@ def by_noise(judged: Judged) -> np.ndarray:
 
 def model_error(pyramid: Pyramid) -> float:
     """Errors of the model that count as noise [unit of the pyramid's images]."""
-    one = pyramid.sources[0] if len(pyramid.sources) == 1 else None
-    return MODEL_ERROR * (
-        EDGED if isinstance(one, Window) or isinstance(one, Lamp) and one.corner is not None else 1.0
-    )
+    light = pyramid.sources[0]
+    is_edged = isinstance(light, Window) or isinstance(light, Lamp) and light.corner is not None
+    return MODEL_ERROR * (EDGED if is_edged and len(pyramid.sources) == 1 else 1.0)
 
 
 def by_finer_model(judged: Judged) -> np.ndarray:

@@ -13,7 +13,7 @@ from ..backends.resident import Resident
 from ..directions import Hemicube
 from ..samples import Samples
 from ..scene import Scene, is_scene
-from ..sources.integrals import BrightPart, Integrals, even, integrals, without
+from ..sources.integrals import BrightPart, Integrals, even, level_of, without
 from . import propagation
 from .base import LightMethod
 from .propagation import Problem
@@ -239,7 +239,7 @@ def _uneven_sky(source: sources.Source, cube: Hemicube) -> list[str]:
     for grey in sources.channels(source):
         if isinstance(grey, sources.Sky) and callable(grey.brightness):
             taken = -float(cube.moments[:, 2] @ sources.radiance(grey, cube.directions))
-            level = integrals(grey, np.inf).level
+            level = level_of(grey)
             worst = max(worst, taken / level if level else 1.0, key=lambda times: abs(times - 1))
     if abs(worst - 1) <= UNEVEN:
         return []

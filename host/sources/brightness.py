@@ -133,7 +133,8 @@ def distribution(function: BrightnessFunction) -> Distribution:
     """``function`` itself if it is a ``Distribution``, else with the directions of its ``peaks``."""
     if isinstance(function, Distribution):
         return function
-    return Function(function, getattr(function, "peaks", None))
+    peaks = getattr(function, "peaks", None)
+    return Function(function, None if peaks is None else tuple(tuple(map(float, peak)) for peak in peaks))
 
 
 def uniform(brightness: float = 1.0) -> BrightnessFunction:
@@ -230,6 +231,10 @@ class EnvironmentMap(Distribution):
     def __post_init__(self) -> None:
         self.image.flags.writeable = False
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.image.flags.writeable = False
+
     def held_by(self) -> Held | None:
         return Held(self)
 
@@ -248,7 +253,7 @@ class EnvironmentMap(Distribution):
         rows, cols = image.shape[:2]
         x, y, z = np.moveaxis(np.asarray(L, float), -1, 0)
         row = np.arccos(np.clip(-z, -1, 1)) / np.pi * rows - 0.5
-        col = np.arctan2(y, x) / (2 * np.pi) * cols - 0.5
+        col = np.arctan2(y + 0.0, x + 0.0) / (2 * np.pi) * cols - 0.5  # of -0.0 too, in the zenith
         r, c = np.floor(row), np.floor(col)
         fr, fc = (w.reshape(w.shape + (1,) * (image.ndim - 2)) for w in (row - r, col - c))
         left = np.where(c < 0, c + cols, c).astype(int)

@@ -13,7 +13,7 @@ import math
 import threading
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -60,9 +60,8 @@ INNER = 0.1  # share of a small part's light from which on far brighter cells in
 # cells along a pixel of a map from which on a bright one is not divided further. With 10 its extent errs by
 # 0.3 %, with 5 by 2 %, with 20 by 0.06 % (tests/test_integrals.py)
 LIGHT_CELLS = 16
-KEPT_BYTES = (
-    2**28
-)  # of tables of maps and functions, together; chosen: five maps of 2048 x 4096 pixels in grey
+# of tables of maps and functions, together; chosen: five maps of 2048 x 4096 pixels in grey
+KEPT_BYTES = 2**28
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
 CUT_AT_ONCE = 2**13  # directions; chosen: what is held of so many, some 300 kB, stays in a core's cache
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
@@ -282,6 +281,7 @@ class Integrals:
         image = None if brightness is None else brightness.equirectangular()
         bands = _bands(source, fine) if bands is None else bands
         self._source = sources.Sky(function)
+        self.looked_closer = False  # than at base cells
         sizes = np.array([0, *np.cumsum([band.light.size for band in bands])])
         solid = [band.solid_angle for band in bands]
         total = sum(float((angle * band.light).sum()) for band, angle in zip(bands, solid))
@@ -320,7 +320,8 @@ class Integrals:
         self.mean = self.rest / math.pi
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
         self._sums = [_cumulative(part) for part in parts]
-        self.nbytes = sum(part.nbytes for part in self._sums)
+        small = [values for part in self.bright_parts for values in part.cells]
+        self.nbytes = sum(part.nbytes for part in (*self._sums, *small))
         self._chords: dict[tuple[int, int], np.ndarray] = {}
         is_smooth = math.isinf(tolerance) or self._misplaced() <= MISPLACED_SHARE * tolerance
         self.knots = SKY_KNOTS if is_smooth else FINE_KNOTS
@@ -336,6 +337,7 @@ class Integrals:
         return float(max(off) / max(light[:, 0].max(), 1e-300))
 
     def _radiance(self, azimuth: np.ndarray, sine: np.ndarray) -> np.ndarray:
+        self.looked_closer |= azimuth.size > 0
         return sources.radiance(self._source, sources.directions_of(azimuth, sine))
 
     def _divide(
@@ -517,22 +519,22 @@ class _Kept:
         self.of: OrderedDict[tuple[Any, ...], Integrals] = OrderedDict()
         self.owners: set[int] = set()
 
-    def get(self, owner: Any, how: tuple[Any, ...], make: Callable[[], Integrals]) -> Integrals:
+    def get(self, owner: Any, how: tuple[Any, ...]) -> Integrals | None:
         """``how``: hashable; all that they depend on besides ``owner``."""
         key = id(owner), *how
         with self.lock:
             if key in self.of:
                 self.of.move_to_end(key)
-                return self.of[key]
-        made = make()
+            return self.of.get(key)
+
+    def put(self, owner: Any, how: tuple[Any, ...], made: Integrals) -> None:
         with self.lock:
             if id(owner) not in self.owners:
                 weakref.finalize(owner, self.forget, id(owner)).atexit = False
                 self.owners.add(id(owner))
-            self.of[key] = made
-            while len(self.of) > 1 and sum(one.nbytes for one in self.of.values()) > KEPT_BYTES:
+            self.of[id(owner), *how] = made
+            while len(self.of) > 1 and sum(one.nbytes for one in list(self.of.values())) > KEPT_BYTES:
                 self.of.popitem(last=False)
-        return made
 
     def forget(self, owner: int) -> None:
         with self.lock:
@@ -549,23 +551,37 @@ def integrals(
 ) -> Integrals:
     """The Integrals of a sky, nothing of which is to be changed; they are kept.
 
-    Those of a function, which may depend on anything, as long as its values in all base cells and towards
-    its named features are the same: these are computed each time, a fifth of the work.
+    Those of a function, which may depend on anything, are kept if they were made of its values in base cells
+    alone. These are computed each time, a fifth of the work: where all are the same, so are the integrals.
     """
     brightness = sources.distribution_of(source)
     if brightness is not None and brightness.by_formula():
         return _of_formulas(source, tolerance, fine, widest)
-    held = None if brightness is None else brightness.held_by()
-    if held is None or not type(held.owner).__weakrefoffset__:
+    held, named = None if brightness is None else brightness.held_by(), bool(_peaks(source))
+    if held is None or not type(held.owner).__weakrefoffset__ or named and not held.lasts:
         return Integrals(source, tolerance, fine, widest)
-    how: tuple[Any, ...] = tolerance, fine, widest, held.part, sources.narrow_features(source)
+    how: tuple[Any, ...] = tolerance, fine, widest, held.part
     bands: list[Band] | None = None
     if not held.lasts:
         bands = _bands(source, fine)
-        named = np.reshape(how[-1] or (), (-1, 3))
-        at_features = sources.radiance(sources.Sky(_function_of(source)), named)
-        how = *how, *(hash(values.tobytes()) for values in (*(band.light for band in bands), at_features))
-    return _of_objects.get(held.owner, how, lambda: Integrals(source, tolerance, fine, widest, bands))
+        how = *how, *(hash(band.light.tobytes()) for band in bands)
+    kept = _of_objects.get(held.owner, how)
+    if kept is None:
+        kept = Integrals(source, tolerance, fine, widest, bands)
+        if held.lasts or not kept.looked_closer:
+            _of_objects.put(held.owner, how, kept)
+    return kept
+
+
+def level_of(sky: sources.Sky) -> float:
+    """Irradiance of open level ground under a sky whose brightness varies; of a function by its values in
+    cells of half a degree."""
+    brightness = sources.distribution_of(sky)
+    assert brightness is not None, "its brightness varies"
+    held = brightness.held_by()
+    if brightness.by_formula() or held is not None and held.lasts:
+        return integrals(sky, np.inf).level
+    return float(sum(band.moments[1].sum() for band in _of_function(sky.brightness, True)))
 
 
 def sector_multiples(parts: Sequence[BrightPart]) -> list[int]:

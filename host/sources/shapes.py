@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import host_array
+from ..arrays import host_array, labels_of, lies_on
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from ..errors import CapacityError, InputError, bad
 from .brightness import (
@@ -120,6 +120,7 @@ class Lamp:
                 )
             object.__setattr__(self, "edges", (u, v))
         elif self.volume is not None:
+            object.__setattr__(self, "labels", labels_of(self.volume))
             object.__setattr__(self, "volume", _flags(self.volume, "lamp volume", 3, "(layers, rows, cols)"))
         else:
             object.__setattr__(self, "center", numbers(self.center, 3, "lamp center", "(x, y, z)"))
@@ -154,6 +155,7 @@ class Window:
                 "x and y (a rectangle), or aperture alone",
             )
         if self.aperture is not None:
+            object.__setattr__(self, "labels", labels_of(self.aperture))
             object.__setattr__(self, "aperture", _flags(self.aperture, "window aperture", 2, "(rows, cols)"))
         else:
             for name in "xy":
@@ -195,12 +197,14 @@ def geometry(source: Source, scene: Scene, step: float) -> Geometry:
         if source.aperture is None:
             assert source.x is not None and source.y is not None, "a window without aperture is a rectangle"
             return Geometry(RECTANGLE, np.array([*source.x, *source.y]) * step / scene.spacing, nothing)
+        lies_on(scene.labels, getattr(source, "labels", None), "window aperture")
         if source.aperture.shape != scene.shape:
             raise bad("window aperture: wrong shape", source.aperture.shape, f"the scene's {scene.shape}")
         return Geometry(APERTURE, no_numbers, source.aperture[None].view(np.uint8))
     if not isinstance(source, Lamp):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if source.volume is not None:
+        lies_on(scene.labels, getattr(source, "labels", None), "lamp volume")
         return Geometry(VOLUME, no_numbers, _volume(source.volume, scene))
     if scene.sides == "periodic":
         raise bad(
