@@ -159,10 +159,10 @@ class Azimuths:
 
     def on_axes(self, axes: tuple[float, float]) -> Azimuths:
         """The same sectors in the axes of a map, see ``Scene.axes``, in order of their angles there."""
-        edges = np.array(self.edges, float)
-        edges = np.pi - edges if axes[0] < 0 else edges
-        edges = -edges if axes[1] < 0 else edges
-        return self if axes == (1.0, 1.0) else Azimuths(self.count, tuple(np.sort(edges).tolist()))
+        if axes == (1.0, 1.0):
+            return self
+        edges = angles_on(axes, np.array(self.edges, float))
+        return Azimuths(self.count, tuple(np.sort(edges).tolist()))
 
     @classmethod
     def placed(cls, count: int, weights: np.ndarray, axes: tuple[float, float] = (1.0, 1.0)) -> Azimuths:
@@ -178,6 +178,12 @@ class Azimuths:
         turn = np.linspace(0, 2 * np.pi, len(weights) + 1)
         sectors = cls(count, tuple(np.interp(np.linspace(0, 1, count + 1), share / share[-1], turn)))
         return sectors.on_axes(axes)
+
+
+def angles_on(axes: tuple[float, float], angles: np.ndarray) -> np.ndarray:
+    """Azimuths [rad] from east towards south in the axes of a map, see ``Scene.axes``."""
+    angles = np.pi - angles if axes[0] < 0 else angles
+    return -angles if axes[1] < 0 else angles
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from .arrays import Quantity, labelled, labels_of, multiply
 from .backends.base import Backend, available_memory
 from .backends.resident import DeviceImage
 from .checks import one_of
-from .directions import Azimuths
+from .directions import Azimuths, angles_on
 from .errors import CapacityError, bad
 from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
@@ -229,8 +229,13 @@ def openness(
     if negative:
         turned = _upside_down(scene)
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
-    how: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
-    work = partial(mean_openness, upside_down=bool(negative), **how)
+    work = partial(
+        mean_openness,
+        azimuths=as_azimuths(azimuths),
+        backend=backend,
+        axes=scene.axes,
+        upside_down=bool(negative),
+    )
     with limited(max_seconds, "openness", scene, backend):
         angles: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])
     return angles
@@ -269,9 +274,7 @@ def _upside_down(scene: Scene) -> Any:
 
 def _rays(azimuths: Azimuths, axes: tuple[float, float], part: slice = slice(None)) -> Rays:
     """``part`` of the azimuths, in the axes of a map, see ``Scene.axes``."""
-    angles = azimuths.angles[part]
-    angles = np.pi - angles if axes[0] < 0 else angles
-    return Rays(-angles if axes[1] < 0 else angles, azimuths.widths[part])
+    return Rays(angles_on(axes, azimuths.angles[part]), azimuths.widths[part])
 
 
 def _scene_of(given: Any) -> Scene:

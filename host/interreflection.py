@@ -295,9 +295,9 @@ def included(
     spacing]: ground farther away hides no sky, so that what a node gets from ground is so much less.
     """
     samples = samples_of(engine, scene, CHECKED)
+    is_part = is_part or max_distance is not None
     # walls of a dark box are no ground, so that strips tell nothing of the direct light's error
     is_uniform = sky is not None and not is_part and scene.sides != "dark"
-    is_part = is_part or max_distance is not None
     has_cliffs = CLIFF_ERROR * math.sqrt(samples.cliffs) > CLIFF_SHARE * tolerance
     sky = sky_share(scene, engine, tolerance, has_cliffs, max_distance) if sky is None else sky
     shares = albedos(scene)

@@ -407,14 +407,14 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
     if alike and factors is not None:  # that of brightness 1, as it is for a grey source
         most = np.float32(factors[brightest])
         lights = [call.parts[0][0].irradiance if call.parts else np.asarray(direct[brightest]) / most]
-    if alike and factors is not None and _is_whole_sky(call):
+    if alike and factors is not None and _is_above_horizons(call):
         sky = scaled(lights[0], 1 / np.pi)
     error = max((plan.error or 0.0 for plan in call.plans), default=0.0)
     why = "as asked"
     if options.interreflection == "auto":
         why = reason(call.share, tolerance)
-    within: dict[str, Any] = dict(tail=options.tail, max_distance=options.max_distance)
-    both = included(scene, call.engine, lights, tolerance, why, error, sky, **within)
+    bounds: dict[str, Any] = dict(tail=options.tail, max_distance=options.max_distance)
+    both = included(scene, call.engine, lights, tolerance, why, error, sky, **bounds)
     call.interreflection = both.record
     call.warnings.extend(both.warnings)
     if call.planned:
@@ -468,15 +468,14 @@ def _left_out(call: Renderer, direct: Sequence[Irradiance]) -> str:
         return "the method that was asked for is of direct light"
     if call.share is None or is_needed(call.share, tolerance):
         return ""
-    factors = numbers_of(call.greys) if _is_whole_sky(call) else None
+    factors = numbers_of(call.greys) if _is_above_horizons(call) else None
     call.share = max(call.share, share_everywhere(scene, call.engine, direct, factors))
     return "" if is_needed(call.share, tolerance) else reason(call.share, tolerance)
 
 
-def _is_whole_sky(call: Renderer) -> bool:
-    """Whether the direct light is that of the whole sky above the horizons of all ground."""
-    whole = isinstance(call.source, sources.Sky) and call.options.max_distance is None
-    return whole and not call.by_lattice
+def _is_above_horizons(call: Renderer) -> bool:
+    """Whether the direct light is that of a sky above horizons."""
+    return isinstance(call.source, sources.Sky) and not call.by_lattice
 
 
 def _share_between(plans: list[Plan]) -> float | None:

@@ -202,13 +202,14 @@ def test_far_horizons_go_round_a_map_that_repeats(backend):
     _same(found, truth[:, :16, 80:96])
 
 
-def test_round_earth_and_farthest_ground(backend):
-    """drop and farthest change slopes as the oracle says."""
+@pytest.mark.parametrize("drop", [2e-3, -2e-3])
+def test_round_earth_and_farthest_ground(backend, drop):
+    """drop and farthest change slopes as the oracle says, also where the map is upside down."""
     engine, heights = select(backend), ridges(48, 160)
     angles = np.array([0.05, 3.1])
     plain = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE))
-    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE), farthest=40.0, drop=2e-3)
-    window, far = far_of(heights, FINE, (16, 64), (16, 16), farthest=40.0, drop=2e-3)
+    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE), farthest=40.0, drop=drop)
+    window, far = far_of(heights, FINE, (16, 64), (16, 16), farthest=40.0, drop=drop)
     found = planes_of(engine, window, far, angles)[:, 8:24, 8:24]
     _same(found, truth[:, 16:32, 64:80])
     known = np.isfinite(truth[0])

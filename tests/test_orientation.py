@@ -199,6 +199,14 @@ def test_surfaces_reflect_the_same_way_in_each_order(dem, fast, surface):
         lambda dem: sl.render(
             sl.Scene.from_height(dem[::-1]), sl.Window(aperture=dem > 0), method="lattice", hemicube=3
         ),
+        lambda dem: sl.plan(sl.Scene.from_height(dem[::-1]), sl.Window(aperture=dem > 0)),
+        lambda dem: sl.render(  # these are replaced by lights of other brightness before they are used
+            sl.Scene.from_height(dem[:, ::-1]),
+            sl.Window(aperture=dem > 0, brightness=lambda L: 1 + L[..., 2] ** 2),
+            method="lattice",
+            hemicube=3,
+        ),
+        lambda dem: sl.visibility(sl.Scene.from_height(dem[::-1]), sl.Window(aperture=dem > 0), 3),
         lambda dem: sl.render(
             sl.Scene.from_height(dem[:, ::-1]),
             sl.Lamp(volume=(dem > 0).expand_dims(layer=3)),

@@ -122,10 +122,8 @@ def render(
     _check_png(exposure, out, white, bits)
     surface = parsing.reflectance(albedo, specular, exponent)
     light = parsing.source(source, lamp, window, sun, direct)
-    asked, between = (
-        method != "auto" or azimuths or max_distance or hemicube or filled is not None,
-        parsing.interreflection(interreflection),
-    )
+    asked = method != "auto" or azimuths or max_distance or hemicube or filled is not None
+    between = parsing.interreflection(interreflection)
     options: dict[str, Any] = dict(
         method=method,
         tolerance=_tolerance(tolerance, asked, between),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import host_array, labels_of, lies_on
+from ..arrays import Labels, host_array, labels_of, lies_on
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from ..errors import CapacityError, InputError, bad
 from .brightness import (
@@ -94,6 +94,8 @@ class Lamp:
     volume: np.ndarray | None = None
     corner: tuple[float, float, float] | None = None
     edges: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # of a volume that was a DataArray; it stays where the lamp is replaced by one of another brightness
+    _labels: Labels | None = field(default=None, repr=False, kw_only=True)
 
     def __post_init__(self) -> None:
         names = "center", "radius", "volume", "corner", "edges"
@@ -120,7 +122,7 @@ class Lamp:
                 )
             object.__setattr__(self, "edges", (u, v))
         elif self.volume is not None:
-            object.__setattr__(self, "labels", labels_of(self.volume))
+            object.__setattr__(self, "_labels", labels_of(self.volume) or self._labels)
             object.__setattr__(self, "volume", _flags(self.volume, "lamp volume", 3, "(layers, rows, cols)"))
         else:
             object.__setattr__(self, "center", numbers(self.center, 3, "lamp center", "(x, y, z)"))
@@ -144,6 +146,7 @@ class Window:
     y: tuple[float, float] | None = None
     brightness: Brightness = 1.0
     aperture: np.ndarray | None = None
+    _labels: Labels | None = field(default=None, repr=False, kw_only=True)  # as those of a lamp
 
     def __post_init__(self) -> None:
         if (self.aperture is None) == (self.x is None or self.y is None) or (
@@ -155,7 +158,7 @@ class Window:
                 "x and y (a rectangle), or aperture alone",
             )
         if self.aperture is not None:
-            object.__setattr__(self, "labels", labels_of(self.aperture))
+            object.__setattr__(self, "_labels", labels_of(self.aperture) or self._labels)
             object.__setattr__(self, "aperture", _flags(self.aperture, "window aperture", 2, "(rows, cols)"))
         else:
             for name in "xy":
@@ -197,14 +200,14 @@ def geometry(source: Source, scene: Scene, step: float) -> Geometry:
         if source.aperture is None:
             assert source.x is not None and source.y is not None, "a window without aperture is a rectangle"
             return Geometry(RECTANGLE, np.array([*source.x, *source.y]) * step / scene.spacing, nothing)
-        lies_on(scene.labels, getattr(source, "labels", None), "window aperture")
+        lies_on(scene.labels, source._labels, "window aperture")
         if source.aperture.shape != scene.shape:
             raise bad("window aperture: wrong shape", source.aperture.shape, f"the scene's {scene.shape}")
         return Geometry(APERTURE, no_numbers, source.aperture[None].view(np.uint8))
     if not isinstance(source, Lamp):
         raise bad("source", type(source).__name__, "Sky, Lamp or Window")
     if source.volume is not None:
-        lies_on(scene.labels, getattr(source, "labels", None), "lamp volume")
+        lies_on(scene.labels, source._labels, "lamp volume")
         return Geometry(VOLUME, no_numbers, _volume(source.volume, scene))
     if scene.sides == "periodic":
         raise bad(
