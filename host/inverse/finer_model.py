@@ -55,7 +55,7 @@ def refit_of(pyramid: Pyramid, level: int, z: np.ndarray) -> Refit:
         depth = problem.run(depth, smoothness, REFIT_STEPS, ITERATIONS, *CLOSE, pyramid.stop).depth
     residuals = [light - target for light, target in zip(problem.irradiances(depth), targets)]
     problem.set_targets(images)
-    of_model = float(np.mean(np.square(errors)))
+    of_model = float(np.mean(np.square(errors, dtype=np.float64)))
     share = of_model / (of_model + (pyramid.noise * 0.5**level) ** 2 + LEAST_VARIANCE)
     return Refit(depth, residuals, share)
 

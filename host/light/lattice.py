@@ -299,7 +299,7 @@ def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[st
         + (scene.deepest - z) ** 2
     )
     spacing = np.sqrt(2 * np.pi / len(cube))
-    apparent = 2 * np.arcsin(min(1.0, radius / far))
+    apparent = 2 * np.arcsin(radius / far if radius < far else 1.0)  # far: 0 where the map is one node
     if apparent < 2 * spacing:
         what = "window" if isinstance(source, sources.Window) else "lamp"
         return [

@@ -155,3 +155,20 @@ def test_rays_to_a_lamp_that_take_too_many_steps_are_refused(fast, monkeypatch):
     steps, ball = sl.Hemicube(9).steps, geometry(sl.Lamp((8, 8, -5), 2.0), sl.Scene(ground), 1.0)
     usual = propagation.Problem(np.zeros((256, 256), np.float32), 1.0, "open", steps, ball)
     propagation._check_rays(select(fast), usual, 200.0, 200, "field")  # is not refused
+
+
+def test_a_window_on_a_single_node_is_not_called_small(fast):
+    """The farthest ground lay at distance 0, by which its radius was divided."""
+    with np.errstate(all="raise"):
+        result = sl.render(
+            sl.Scene([[0.0]]), sl.Window(aperture=np.ones((1, 1), bool)), hemicube=3, backend=fast
+        )
+    assert not any(text.startswith("Small") for text in result.warnings)
+
+
+def test_an_image_far_darker_than_its_source_is_answered(fast):
+    """By 27 decades: the square of what the model leaves was infinite."""
+    image = np.random.default_rng(1).uniform(0, 15, (6, 10)).astype(np.float32)
+    source = sl.Sky(lambda towards: 1e28 * (1 - towards[..., 2]))
+    with np.errstate(all="raise", under="ignore"):
+        assert np.isfinite(sl.recover(image, source, 0.5, layers=8, backend=fast).std).all()

@@ -19,6 +19,7 @@ NONE, HIGHEST_MASKED = np.float32(constants.NONE), np.float32(constants.HIGHEST_
 ONE, HALF, HALF_PI = np.float32(1), np.float32(0.5), np.float32(constants.HALF_PI)
 
 Values = Any  # one per node, or one for all
+WARM_UP = 2**18  # rays and rows at once: 2 MB of int64, chosen to stay in the cache
 
 
 def sweep(
@@ -274,18 +275,30 @@ def _lines(rays: Rays, backward: bool) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return line, start, stop
 
 
-def _row_of(rays: Rays, ladder: Ladder, line: np.ndarray, comes: int, comes_at: int) -> np.ndarray:
-    """3. the row that comes in, where the lines cross it: quantized, with the distance at which it comes"""
+def _rows_of(rays: Rays, ladder: Ladder, line: np.ndarray, comes: np.ndarray, comes_at: int) -> np.ndarray:
+    """3. rows that come in (n, 1), where the lines cross them: quantized, with the distance at which that is"""
     grid = rays.heights.reshape(rays.rows + 2 * rays.margin, rays.cols + 2 * rays.margin)
-    across = -rays.shear * np.float32(comes)
+    across = -rays.shear * comes.astype(np.float32)
     column = np.floor(across)
-    at = line + int(column)
+    at = line + column.astype(np.int32)
     # beyond the margin there is no ground
     at = at % rays.cols if rays.periodic else np.clip(at, -2, rays.cols)
     row = comes % rays.rows if rays.towards > 0 else (rays.rows - 1 - comes) % rays.rows
     a, b = grid[rays.margin + row, rays.margin + at], grid[rays.margin + row, rays.margin + at + 1]
     ground = np.where(a == NONE, b, np.where(b == NONE, a, a + (across - column) * (b - a)))
     return np.where(ground < np.float32(-1e20), np.int32(UNSEEN), ladder.quantized(ground) | comes_at)
+
+
+def _climbed(rays: Rays, ladder: Ladder, line: np.ndarray, steps: np.ndarray, comes_at: int) -> np.ndarray:
+    """3. the rays before the first row that is asked for, of a map that repeats: many rows at once"""
+    above, steps = np.full((LADDER, len(line)), UNSEEN, np.int64), steps.astype(np.int64)
+    first, many = rays.asked[0].start, max(WARM_UP // above.size, 1)
+    for i in range(-rays.warm, first, many):
+        u = np.arange(i, min(i + many, first))[:, None]
+        seen = _rows_of(rays, ladder, line, u - comes_at, comes_at)
+        climbed = seen + steps[:, None] * (u[-1] - u)
+        above = np.maximum(above + steps * len(u), climbed.max(axis=1))
+    return above.astype(np.int32)
 
 
 def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, ...]:
@@ -306,7 +319,10 @@ def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, ...
     comes_at = window if backward else rays.nearest + 1
     lower, upper, highest = np.empty((3, *rays.p.shape), np.int32)
     falls = np.empty(rays.p.shape, bool)
-    for i in range(start.min(), stop.max()):
+    begin = start.min()
+    if rays.periodic and not rays.blocks:
+        above, begin = _climbed(rays, ladder, line, steps, comes_at), first
+    for i in range(begin, stop.max()):
         u, into = i, 1
         if rays.blocks:
             into = (i + warm) % window
@@ -317,7 +333,7 @@ def _ladder(rays: Rays, ladder: Ladder, backward: bool) -> tuple[np.ndarray, ...
         comes = u - comes_at
         seen = np.full(len(line), UNSEEN, np.int32)
         if (rays.periodic or 0 <= comes < rows) and (not rays.blocks or backward or into > rays.nearest):
-            seen = _row_of(rays, ladder, line, comes, comes_at)
+            seen = _rows_of(rays, ladder, line, np.array([[comes]]), comes_at)[0]
         going = (start <= i) & (i < stop)
         above = np.where(going, np.maximum(above + steps, seen), above)
         if not first <= u < rays.end:
