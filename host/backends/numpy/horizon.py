@@ -276,7 +276,7 @@ def _lines(rays: Rays, backward: bool) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _rows_of(rays: Rays, ladder: Ladder, line: np.ndarray, comes: np.ndarray, comes_at: int) -> np.ndarray:
-    """3. rows that come in (n, 1), where the lines cross them: quantized, with the distance at which that is"""
+    """3. rows that come in (n, 1), where the lines cross them: quantized, with that distance"""
     grid = rays.heights.reshape(rays.rows + 2 * rays.margin, rays.cols + 2 * rays.margin)
     across = -rays.shear * comes.astype(np.float32)
     column = np.floor(across)
