@@ -30,7 +30,7 @@ from .images import (
 )
 from .interreflection import CHECKED, Interreflection, included, is_needed, reason, share_everywhere
 from .light import lattice, propagation, unoccluded
-from .light.finite import solid_of
+from .light.finite import left_below, solid_of
 from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import (
@@ -44,6 +44,7 @@ from .light.slices import (
     widened,
 )
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
+from .planning.base import lamp_below
 from .planning.plan import Choice, Plan, percent
 from .refinement import ASSUMED_ERROR_RATIO, Refined, refined
 from .reflectance import BRDF, Phong
@@ -155,6 +156,7 @@ class Renderer:
         """Direct irradiances, irradiances of all light, and what else is reflected of direct light and of all
         light: an array per colour each."""
         direct, shine = self._light()
+        self.warnings += _left_below(self)
         irradiances = self._with_bounces(direct)
         return direct, irradiances, shine, _with_ground(self, irradiances, shine)
 
@@ -391,6 +393,18 @@ def _missed_by_rays(call: Renderer, lights: np.ndarray) -> list[str]:
         f"Tolerance: the light along the rays of a BRDF is {100 * error:.3g} % off (RMS over the mean), more"
         f" than the {100 * tolerance:.3g} % asked for: what is narrow or partly hidden falls between them."
     ]
+
+
+def _left_below(call: Renderer) -> list[str]:
+    """A warning if ground sees a part of the lamp below its level, by more light than the tolerance."""
+    lamp = call.source
+    if not isinstance(lamp, sources.Lamp) or lamp.volume is not None:
+        return []
+    if any(plan.method == "unoccluded" for plan in call.plans):
+        return []
+    greys = [grey for grey in call.greys if isinstance(grey, sources.Lamp)]
+    lost = max(left_below(call.scene, grey, call.engine) for grey in greys)
+    return [lamp_below(lost)] if lost > float(call.options.tolerance) else []
 
 
 # -- light between surfaces

@@ -467,3 +467,34 @@ def test_sources_can_be_pickled(brightness):
     L = np.array([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8]])
     again = pickle.loads(pickle.dumps(sl.Sky(brightness)))
     np.testing.assert_array_equal(again.brightness(L), brightness(L))
+
+
+@pytest.mark.parametrize("how", [{}, {"method": "horizon"}, {"hemicube": 5}])
+def test_light_from_below_the_level_is_told(fast, how):
+    """A sphere beside a slope that sees all of it: what images lack of the closed form is in the warning."""
+    x, y = np.meshgrid(np.arange(32.0), np.arange(32.0))
+    centre, slope = (24, 16, 14), np.array([1, 0, -1]) / np.sqrt(2)
+    to = np.stack([centre[0] - x, centre[1] - y, centre[2] - (2 + x)], -1)
+    far = np.linalg.norm(to, axis=-1)
+    exact = np.pi * (3 / far) ** 2 * (to @ slope) / far
+    scene, lamp = sl.Scene(2 + x), sl.Lamp(centre, 3)
+    result = sl.render(scene, lamp, interreflection=False, quantity="irradiance", backend=fast, **how)
+    told = next(text for text in result.warnings if text.startswith("Lamp below ground"))
+    share = float(told.split("It is ")[1].split(" %")[0]) / 100
+    if "hemicube" not in how:
+        missing = np.sqrt(np.mean((exact - result.image) ** 2)) / exact.mean()
+        np.testing.assert_allclose(share, missing, rtol=0.03)
+    assert 0.28 < share < 0.3
+    assert any(text.startswith("Lamp below") for text in sl.plan(scene, lamp, backend=fast).beyond)
+
+
+@pytest.mark.parametrize("name", ["above", "closed form", "window"])
+def test_light_from_the_viewers_side_is_all_there(fast, name):
+    """No warning of light below the level: lamps above all ground, windows, closed forms that include it."""
+    ground = 2 + np.mgrid[:16, :16][1].astype(float)
+    source = (
+        sl.Window((2, 9), (2, 9)) if name == "window" else sl.Lamp((12, 8, 1 if name == "above" else 7), 1)
+    )
+    method = "unoccluded" if name == "closed form" else "auto"
+    result = sl.render(sl.Scene(ground), source, method=method, interreflection=False, backend=fast)
+    assert not any("below" in text for text in (*result.warnings, *result.plan.beyond))

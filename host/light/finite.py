@@ -11,7 +11,7 @@ from .. import sources
 from ..backends.base import Array, Backend
 from ..backends.resident import DeviceImage
 from ..errors import bad
-from ..samples import Samples, picked, samples_of
+from ..samples import Samples, lit_mean, picked, samples_of
 from ..scene import Scene
 from ..sources.integrals import Integrals
 from ..sources.solids import Ball, Quad, aperture, rectangle, upright
@@ -23,6 +23,8 @@ from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_quadrature, outlin
 # difference does not show half of the error
 SHIFT = 0.25
 RAYS = 4, 16, 64, 256, 1024  # to a small lamp, along which its brightness is taken
+SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
+RAYS_BELOW = 64  # of RAYS; with 16 and 256 the light from below the level changes by 2 and 0.5 % of itself
 MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
 # share of a lamp's light that the ground takes from a node that is called partly hidden. Chosen: the light of
 # other nodes is at most so much of itself wrong, where a part that is not of mean brightness is hidden; with
@@ -71,6 +73,28 @@ def _check_reach(scene: Scene, lamp: sources.Lamp) -> None:
             f"{most:g} times the map's extent, which float32 resolves",
             "Give a Sky, or a Window.",
         )
+
+
+def left_below(scene: Scene, lamp: sources.Lamp, engine: Backend) -> float:
+    """Light of a grey sphere or rectangle that comes from below the nodes' level: RMS over the mean of all.
+
+    Nodes that are higher than a part of a lamp see that part below their level; horizons, slices and the
+    lattice leave it out, since L_z <= 0, and closed forms do not. At samples, as if no ground hid the lamp.
+    """
+    solid = upright(solid_of(scene, lamp, 1 / scene.spacing, 1.0))
+    assert solid is not None, "a lamp is nowhere cut off"
+    lowest = solid.center[2] - solid.radius if isinstance(solid, Ball) else np.min(solid.corners, axis=0)[2]
+    if lowest >= 0 or lowest >= (samples := samples_of(engine, scene, SAMPLE_COUNT)).highest:
+        return 0.0
+    brightness = sources.Sky(lamp.brightness)
+
+    def below(towards: np.ndarray) -> np.ndarray:  # where directions below the level are given as level
+        return np.where(towards[..., 2] < 0, 0, sources.radiance(brightness, towards))
+
+    places = samples.gx, samples.gy, samples.x, samples.y, samples.own.astype(float)
+    lost = unoccluded.lamp(*places, solid, below, RAYS_BELOW).astype(float)
+    mean = lit_mean(unoccluded.lamp(*places, solid, lamp.brightness, RAYS_BELOW))
+    return math.sqrt(float(np.mean(lost**2))) / mean if mean else 0.0
 
 
 def most_rays(scene: Scene) -> int:

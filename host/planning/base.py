@@ -19,6 +19,7 @@ from ..backends.base import Backend
 from ..errors import CapacityError
 from ..interreflection import choice, expected, is_needed
 from ..light.base import LightMethod
+from ..light.finite import left_below
 from ..light.lattice import Lattice, lacking
 from ..light.unoccluded import ClosedForm
 from ..reflectance import BRDF, Lambertian, Phong
@@ -269,6 +270,9 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
     if gap < 1:
         touches = f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
         yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
+    if isinstance(source, sources.Lamp) and source.volume is None and not planner.closed:
+        if lost := left_below(scene, source, planner.engine):
+            yield lamp_below(lost)
     if samples.cliffs > 0:
         yield (
             f"Slopes are steeper than the grid holds: {percent(samples.cliffs)} of neighbouring nodes"
@@ -284,6 +288,14 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
             f"float32 rounds depths by {_rounding(samples):.2g} spacings, more than the tolerance allows:"
             " subtract the least depth."
         )
+
+
+def lamp_below(lost: float) -> str:
+    """The sentence on light from below the level, of this share."""
+    return (
+        "Lamp below ground: ground is higher than a part of the lamp, which it sees below its level; that"
+        f" light is left out. It is {percent(lost)} of all (RMS over the mean) where nothing occludes."
+    )
 
 
 def _gap(scene: Scene, lamp: sources.Lamp, engine: Backend, highest: float) -> float:

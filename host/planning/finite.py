@@ -17,7 +17,7 @@ from ..backends.base import Backend
 from ..directions import Hemicube
 from ..light import unoccluded
 from ..light.base import LightMethod
-from ..light.finite import MOST_RAY_EVALUATIONS, RAYS, Sliced, most_rays, solid_of
+from ..light.finite import MOST_RAY_EVALUATIONS, RAYS, SAMPLE_COUNT, Sliced, most_rays, solid_of
 from ..light.line import Light, LinePoints, at_samples, lights_of, line_of
 from ..light.slices import outline, widened
 from ..light.unoccluded import ClosedForm
@@ -29,7 +29,6 @@ from ..sources.solids import Ball, Quad, upright
 from .base import EXACT_ERROR_RATIO, TABLES_ERROR, Planner, UnitsPlanner, uniform_light
 from .plan import Choice, percent
 
-SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
 # numbers of slices that an image may begin with: of a source that stands all round a node, and of a
 # quadrangle, whose four sectors share them; refining doubles them
 BALL_SLICES, QUAD_SLICES = (8, 16, 32, 64), (32, 64)
