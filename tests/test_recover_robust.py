@@ -1035,3 +1035,27 @@ def test_a_carving_has_no_light_between_surfaces():
         sl.recover(np.ones((4, 4)), sl.Sky(), method="paper", interreflection=True, backend="numpy")
     with pytest.raises(sl.InputError, match="interreflection"):
         sl.recover(np.ones((4, 4)), sl.Sky(), interreflection="yes", backend="numpy")
+
+
+@pytest.mark.parametrize("brightness", [0.5, sl.cie_overcast()])
+@pytest.mark.parametrize("sides", ["open", "periodic"])
+def test_relief_under_an_even_sky_without_walls(fast, sides, brightness):
+    """A flat surface, where the search begins, is a stationary point of such images: it must be left, and the
+    standard deviation must cover the reliefs that look alike.
+    """
+    y, x = np.mgrid[:24, :24] * (2 * np.pi / 24)
+    depth, sky = 12 + 3 * np.sin(x) * np.sin(y + 1) - np.cos(2 * x + y), sl.Sky(brightness)
+    image = sl.render(
+        sl.Scene(depth, albedo=0.5, sides=sides), sky, interreflection=False, backend=fast
+    ).image
+    got = recover(image, sky, 0.5, sides, layers=24, backend=fast)
+    again = sl.render(sl.Scene(got.depth, albedo=0.5, sides=sides), sky, interreflection=False, backend=fast)
+    assert rms(again.image - image) < 0.2 * image.std()
+    assert np.mean(np.abs(got.depth - depth) < 2 * got.std) > 0.95
+
+
+def test_an_even_image_without_walls_is_flat_in_the_middle(fast):
+    """It tells nothing of where the surface lies, so the answer is the middle of the bounds."""
+    got = recover(np.full((16, 16), 0.5), sl.Sky(), 0.5, layers=24, near=4.0, backend=fast)
+    np.testing.assert_allclose(got.depth, 14, atol=1e-3)
+    np.testing.assert_allclose(got.std, 20 / np.sqrt(12), rtol=0.01)
