@@ -33,8 +33,8 @@ TIED = 1e-4  # of the objective: flat surfaces that differ by less explain the i
 # under a sky that is brighter on one side
 SLIGHT, EVEN = 0.05, 0.6
 # [nodes] of the standard deviation of the reliefs that the search starts from under such a sky. Chosen: the
-# mean correlation with 24 surfaces of 32 x 32, sides open, is 0.66, and 0.69 with 24 others; with half of these
-# 0.49 and 0.72, with twice 0.64 and 0.73, with 0.25 alone 0.42
+# mean correlation with 24 surfaces of 32 x 32, sides open, is 0.66, and 0.69 with 24 others; with half of
+# these 0.49 and 0.72, with twice 0.64 and 0.73, with 0.25 alone 0.42
 RELIEFS = 0.5, 2.0, -1.0
 LOST = 100.0  # times the objective of a good surface: above it strong relief is looked for
 FOUND = 16.0  # times the objective of a good surface: below it that search ends
