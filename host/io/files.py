@@ -70,10 +70,10 @@ def read(path: StrPath, name: str | None = None, *, scaled: bool = False) -> np.
 def read_environment(path: StrPath) -> np.ndarray:
     """An environment map (rows, cols) float64 for :func:`skylamp.environment_map`: brightness per pixel.
 
-    Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE), an 8-bit RGB PNG
-    or a (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709).
-    Counts of integer files are taken as proportional to brightness, full scale (255, 65535) as 1; floating
-    values as they are. Errors as in :func:`read`.
+    Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE and COLORCORR), an
+    8-bit RGB PNG or a (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B
+    (ITU-R BT.709). Counts of integer files are taken as proportional to brightness, full scale (255, 65535)
+    as 1; floating values as they are. Errors as in :func:`read`.
     """
     path = readable(path)
     suffix = path.suffix.lower()
@@ -124,7 +124,8 @@ def write(
 
     .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .exr keeps float16, float32
     and uint32, as channel Y, or R, G and B for (rows, cols, 3). .hdr holds (rows, cols) or (rows, cols, 3) of
-    floats >= 0 with 8 bits of mantissa: an error of up to 1 in 256 of a pixel's largest channel. .npz
+    floats from 0 to 1.69e38 with 8 bits of mantissa: an error of up to 1 in 256 of a pixel's largest channel;
+    pixels below 1e-32 become 0. .npz
     holds the array as ``name`` and the arrays in ``more``, which other formats do not take. An "image" (rows,
     cols, 3) is RGB in .tif and in .png, there with 8 bits. .png holds (rows, cols): uint8, uint16 and bool as
     they are (True is 255), anything else as counts of ``bits`` (8 or 16): rint((value - low) / (high - low) *
