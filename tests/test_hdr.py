@@ -293,7 +293,11 @@ def test_tone_mapping(tmp_path, capsys):
     image = np.array([[0.0, 0.001, 0.5], [1.0, 7.0, np.nan]], np.float32)
     assert io.tone_mapped(image).tolist() == [[0, 3, 188], [255, 255, 0]]
     assert io.tone_mapped(image / 4, 2).tolist() == io.tone_mapped(image).tolist()
-    refused("exposure: got nan", io.tone_mapped, image, np.nan)
+    for exposure in (np.nan, None, [1, 2], 2000.0, "1", 10**400):
+        refused("exposure: got", io.tone_mapped, image, exposure)
+    assert io.tone_mapped([[1e300, 0.0]], 1000).tolist() == [[255, 0]]
+    for wrong in (np.ones((2, 2), complex), "ab", np.ma.masked_less(image, 1), [[1, 2], [3]]):
+        refused("tone_mapped: image", io.tone_mapped, wrong)
     np.save(tmp_path / "d.npy", np.ones((3, 4)))
     command = ["render", str(tmp_path / "d.npy"), "--backend", "numpy", "--exposure", "-1", "--out"]
     with pytest.raises(SystemExit) as ended:

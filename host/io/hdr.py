@@ -165,4 +165,5 @@ def _rounded(rgb: np.ndarray) -> np.ndarray:
     step = np.ldexp(1.0, np.maximum(np.frexp(most)[1], -127) - 8)
     step = np.where(np.rint(most / step) > 255, 2 * step, step)  # 255.5 steps and more are 128 of the next
     with np.errstate(invalid="ignore"):  # inf / inf
-        return np.rint(light / step) * step
+        rounded: np.ndarray = np.rint(light / step) * step
+    return rounded
