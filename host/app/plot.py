@@ -46,7 +46,8 @@ def field(
     ``every``: nodes between discs. Only directions (i, 0, k) lie in the plane: the field's hemicube of M
     makes 4 (M - 1) sectors.
 
-    Raises InputError for a row outside the map, or if matplotlib is not installed.
+    Raises InputError for a row outside the map, a source or a surface in colour, or if matplotlib is not
+    installed.
     """
     matplotlib = _matplotlib()
     rows, cols = field.scene.shape
