@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -212,26 +213,29 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
     black = _number(share(black, "grooves: black"), "black")
     if not 0 < steepness < 90:
         raise bad("grooves: steepness", steepness, "between 0 and 90 degrees")
-    rise = np.tan(np.radians(steepness))
+    return BRDF(partial(_groove_brdf, white=white, black=black, slope=np.radians(steepness)))
 
-    def shows(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine to the white face's normal over cos(steepness), and the share of the face that w meets."""
-        x, z = w[..., 0], np.maximum(w[..., 2], 1e-12)
-        facing = np.maximum(0.0, z - rise * x)
-        return facing, np.where(x < 0, np.minimum(1.0, 2 * z / (rise * np.abs(x) + z)), 1.0)
 
-    def function(incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        total: np.ndarray = np.zeros(())
-        for albedo, way in ((white, [1, 1, 1]), (black, [-1, 1, 1])):
-            (a, lit), (b, seen) = shows(incoming * way), shows(outgoing * way)
-            # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines
-            # are cos x a, cos x b
-            half = albedo / np.pi * 0.5 * np.cos(np.radians(steepness))
-            total = total + half * a * b * np.minimum(lit, seen)
-        total /= np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12)
-        return total
+def _groove_brdf(
+    incoming: np.ndarray, outgoing: np.ndarray, white: float, black: float, slope: float
+) -> np.ndarray:
+    """f [1/sr] of :func:`grooves`; ``slope`` of their faces [rad]."""
+    total: np.ndarray = np.zeros(())
+    for albedo, way in ((white, [1, 1, 1]), (black, [-1, 1, 1])):
+        (a, lit), (b, seen) = (_shown_face(w * way, np.tan(slope)) for w in (incoming, outgoing))
+        # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines
+        # are cos x a, cos x b
+        half = albedo / np.pi * 0.5 * np.cos(slope)
+        total = total + half * a * b * np.minimum(lit, seen)
+    total /= np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12)
+    return total
 
-    return BRDF(function)
+
+def _shown_face(w: np.ndarray, rise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine to the white face's normal over cos(steepness), and the share of the face that w meets."""
+    x, z = w[..., 0], np.maximum(w[..., 2], 1e-12)
+    facing = np.maximum(0.0, z - rise * x)
+    return facing, np.where(x < 0, np.minimum(1.0, 2 * z / (rise * np.abs(x) + z)), 1.0)
 
 
 def mirror_directions(tilt_x: np.ndarray, tilt_y: np.ndarray) -> np.ndarray:

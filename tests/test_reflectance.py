@@ -2,6 +2,7 @@
 
 import functools
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -1109,3 +1110,15 @@ def test_an_albedo_where_masked_is_of_no_effect(fast):
         assert np.isfinite(found.image[mask]).all()
         assert_bits_equal(np.nan_to_num(found.image), np.nan_to_num(expected.image))
     np.testing.assert_array_equal(surface, kept)
+
+
+@pytest.mark.parametrize("steepness", [45.0, 60.0])
+def test_reflectances_can_be_pickled(steepness):
+    """As processes get them; grooves had a local function."""
+    w = np.random.default_rng(4).normal(size=(2, 50, 3))
+    for surface in (sl.grooves(0.9, 0.2, steepness), sl.Phong(0.2, 0.3, 7), sl.Lambertian(0.4), sl.Mirror()):
+        copied = pickle.loads(pickle.dumps(surface))
+        for name in surface.__dict__.keys() - {"function"}:
+            assert getattr(copied, name) == getattr(surface, name)
+        if not isinstance(surface, sl.Mirror):
+            np.testing.assert_array_equal(copied.brdf(*w), surface.brdf(*w))
