@@ -2,9 +2,10 @@
 
 A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors
 (..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows (of a
-DataArray, to the east and to the south), both within the surface. A reflectance is energy-bounded if its
-directional-hemispheric reflectance, the integral of f cos(theta_o), is at most 1 for every incoming
-direction, and reciprocal (Helmholtz) if f(incoming, outgoing) = f(outgoing, incoming).
+DataArray, to the east and to the south), both within the surface; :class:`BRDF` has the formulas. A
+reflectance is energy-bounded if its directional-hemispheric reflectance, the integral of f cos(theta_o), is
+at most 1 for every incoming direction, and reciprocal (Helmholtz) if f(incoming, outgoing) = f(outgoing,
+incoming).
 """
 
 from __future__ import annotations
@@ -131,6 +132,14 @@ class Mirror:
 @dataclass(frozen=True, eq=False)
 class BRDF:
     """Any reflectance, given as a function f(incoming, outgoing) [sr^-1] of two arrays (..., 3) -> (...).
+
+    Both are unit vectors from the surface, to where light comes from and to where it goes, in the frame of
+    the node's own surface: z along its normal on the viewer's side, so z > 0 above the surface (a brightness
+    function gets z <= 0 there); x along the tangent (1, 0, dz/dx), to increasing columns; y along (-p q, 1 +
+    p^2, q) for p = dz/dx and q = dz/dy of the depth z, to increasing rows, at right angles to both. Of a
+    DataArray x is turned to the east and y to the south: reversed where columns run west, or rows north. What
+    f gives for z <= 0 counts as 0. A render's outgoing direction is that to the viewer, (-p / sqrt(1 + p^2),
+    -q / sqrt((1 + p^2) (1 + p^2 + q^2)), 1 / sqrt(1 + p^2 + q^2)).
 
     Its directional-hemispheric reflectance is integrated numerically for incoming directions all over the
     hemisphere; an InputError gives the direction for which it exceeds 1, and the excess. ``largest`` is the
