@@ -99,7 +99,7 @@ def test_radiance_round_trip(tmp_path):
     np.testing.assert_allclose(io.read_environment(tmp_path / "b.hdr"), got / 8, rtol=1e-6)
     (tmp_path / "b.hdr").write_bytes(data.replace(b"\n-Y 12 +X 24\n", b"\n+Y 12 +X 24\n", 1))
     refused("order of its pixels: got +Y +X", io.read_environment, tmp_path / "b.hdr")
-    for array in (FLOATS, -LIGHT, np.ones((3, 3), np.uint8)):
+    for array in (FLOATS, -LIGHT, np.full((2, 2), np.nan), np.ones((3, 3), np.uint8)):
         refused("finite floats >= 0", io.write, tmp_path / "c.hdr", array)
 
 
@@ -296,6 +296,7 @@ def test_tone_mapping(tmp_path, capsys):
     for exposure in (np.nan, None, [1, 2], 2000.0, "1", 10**400):
         refused("exposure: got", io.tone_mapped, image, exposure)
     assert io.tone_mapped([[1e300, 0.0]], 1000).tolist() == [[255, 0]]
+    assert io.tone_mapped(image > 1).tolist() == [[0, 0, 0], [0, 255, 0]]
     for wrong in (np.ones((2, 2), complex), "ab", np.ma.masked_less(image, 1), [[1, 2], [3]]):
         refused("tone_mapped: image", io.tone_mapped, wrong)
     np.save(tmp_path / "d.npy", np.ones((3, 4)))

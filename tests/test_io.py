@@ -610,7 +610,13 @@ def test_the_order_of_bytes_does_not_matter(tmp_path, name, dtype):
 
 @pytest.mark.parametrize(
     "array",
-    [np.arange(5.0), np.float64(1), np.ones((2, 2), np.longdouble), np.ma.masked_less(np.eye(3), 0.5)],
+    [
+        np.arange(5.0),
+        np.float64(1),
+        np.ones((2, 3, 4, 5)),
+        np.ones((2, 2), np.longdouble),
+        np.ma.masked_less(np.eye(3), 0.5),
+    ],
 )
 def test_a_tiff_refuses_what_it_would_not_give_back(tmp_path, array):
     with pytest.raises(InputError, match="x.tif"):

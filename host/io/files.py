@@ -18,7 +18,6 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import as_real
 from ..errors import bad
 from . import hdr, png, tiff
 from .paths import HDR, MAP_SUFFIXES, StrPath, destination, readable, reading, replacing, reserve
@@ -26,6 +25,7 @@ from .paths import HDR, MAP_SUFFIXES, StrPath, destination, readable, reading, r
 NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 ROLES = ("depth", "height", "image")
 NOT_NAMES = ("", "file", "allow_pickle")  # of arrays in an .npz: NumPy's writer has parameters of these names
+NOT_WRITTEN = "cannot write the array"
 MOST_STOPS = 1000  # so that 2^stops is finite
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green, blue: ITU-R BT.709
 
@@ -140,7 +140,7 @@ def write(
     allow_pickle), or a ``range`` or ``bits`` that would do nothing; OSError if the disk refuses.
     """
     path = writable(path)
-    array, suffix = _numbers(path, array), path.suffix.lower()
+    array, suffix = _numbers(array, f"{path}: {NOT_WRITTEN}"), path.suffix.lower()
     if more and suffix != ".npz":
         raise bad(f"{path}: only one array fits", f"{1 + len(more)} arrays", "several arrays in an .npz")
     if suffix != ".png" and not (range is None and bits is None):
@@ -178,7 +178,7 @@ def tone_mapped(image: ArrayLike, exposure: float = 0.0) -> np.ndarray:
         stops = np.nan
     if not abs(stops) <= MOST_STOPS:
         raise bad("exposure", repr(exposure), f"a finite number of stops, -{MOST_STOPS} to {MOST_STOPS}")
-    light = np.nan_to_num(as_real(image, "tone_mapped: image", None).astype(np.float64), nan=0.0)
+    light = np.nan_to_num(_numbers(image, "tone_mapped: image").astype(np.float64), nan=0.0)
     with np.errstate(over="ignore"):  # it is clipped
         light = np.clip(light * 2.0**stops, 0, 1)
     tones = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -206,9 +206,8 @@ def _values(path: Path, counts: np.ndarray) -> np.ndarray:
     return range[0] + counts * ((range[1] - range[0]) / np.iinfo(counts.dtype).max)
 
 
-def _numbers(path: Path, values: Any, name: str = "") -> np.ndarray:
-    """``values`` as an array that can be written to ``path``, in the machine's order of bytes."""
-    what = f"{path}: cannot write the array" + f" {name}" * bool(name)
+def _numbers(values: Any, what: str) -> np.ndarray:
+    """``values`` as an array of real numbers, at least one, in the machine's order of bytes."""
     if isinstance(values, np.ma.MaskedArray):
         allowed, fix = "plain arrays", "Pass array.filled(value)."
         raise bad(f"{what}: a numpy masked array", "mask inside the array", allowed, fix)
@@ -228,7 +227,8 @@ def _write_npz(path: Path, array: np.ndarray, name: Any, more: dict[str, Any]) -
             raise bad(f"{path}: name of an array", repr(key), f"text other than {', '.join(NOT_NAMES[1:])}")
     if name in more:
         raise bad(f"{path}: two arrays of one name", repr(name), "a name for each", "Pass another name=.")
-    arrays: dict[str, Any] = {name: array, **{key: _numbers(path, more[key], key) for key in more}}
+    arrays: dict[str, Any] = {name: array}
+    arrays |= {key: _numbers(values, f"{path}: {NOT_WRITTEN} {key}") for key, values in more.items()}
     with replacing(path) as file:
         np.savez_compressed(file, **arrays)
 

@@ -138,9 +138,10 @@ def _multipliers(header: bytes) -> np.ndarray:
 def _write_radiance(path: Path, array: np.ndarray) -> None:
     is_light = array.dtype.kind == "f" and bool(np.isfinite(array).all() and array.min() >= 0)
     if not is_light or not _is_picture(array):
+        least, most = np.fmin.reduce(array, None), np.fmax.reduce(array, None)
         raise bad(
             f"{path}: a Radiance picture holds light",
-            f"dtype {array.dtype}, shape {array.shape}, {np.nanmin(array)} to {np.nanmax(array)}",
+            f"dtype {array.dtype}, shape {array.shape}, {least} to {most}",
             "finite floats >= 0, (rows, cols) or (rows, cols, 3)",
             "Write .exr or .tif to keep negative values and NaN.",
         )
