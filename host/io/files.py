@@ -140,7 +140,7 @@ def write(
     allow_pickle), or a ``range`` or ``bits`` that would do nothing; OSError if the disk refuses.
     """
     path = writable(path)
-    array, suffix = _numbers(array, f"{path}: {NOT_WRITTEN}"), path.suffix.lower()
+    array, suffix = numbers(array, f"{path}: {NOT_WRITTEN}"), path.suffix.lower()
     if more and suffix != ".npz":
         raise bad(f"{path}: only one array fits", f"{1 + len(more)} arrays", "several arrays in an .npz")
     if suffix != ".png" and not (range is None and bits is None):
@@ -178,7 +178,7 @@ def tone_mapped(image: ArrayLike, exposure: float = 0.0) -> np.ndarray:
         stops = np.nan
     if not abs(stops) <= MOST_STOPS:
         raise bad("exposure", repr(exposure), f"a finite number of stops, -{MOST_STOPS} to {MOST_STOPS}")
-    light = np.nan_to_num(_numbers(image, "tone_mapped: image").astype(np.float64), nan=0.0)
+    light = np.nan_to_num(numbers(image, "tone_mapped: image").astype(np.float64), nan=0.0)
     with np.errstate(over="ignore"):  # it is clipped
         light = np.clip(light * 2.0**stops, 0, 1)
     tones = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -206,7 +206,7 @@ def _values(path: Path, counts: np.ndarray) -> np.ndarray:
     return range[0] + counts * ((range[1] - range[0]) / np.iinfo(counts.dtype).max)
 
 
-def _numbers(values: Any, what: str) -> np.ndarray:
+def numbers(values: Any, what: str) -> np.ndarray:
     """``values`` as an array of real numbers, at least one, in the machine's order of bytes."""
     if isinstance(values, np.ma.MaskedArray):
         allowed, fix = "plain arrays", "Pass array.filled(value)."
@@ -228,7 +228,7 @@ def _write_npz(path: Path, array: np.ndarray, name: Any, more: dict[str, Any]) -
     if name in more:
         raise bad(f"{path}: two arrays of one name", repr(name), "a name for each", "Pass another name=.")
     arrays: dict[str, Any] = {name: array}
-    arrays |= {key: _numbers(values, f"{path}: {NOT_WRITTEN} {key}") for key, values in more.items()}
+    arrays |= {key: numbers(values, f"{path}: {NOT_WRITTEN} {key}") for key, values in more.items()}
     with replacing(path) as file:
         np.savez_compressed(file, **arrays)
 
