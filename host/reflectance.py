@@ -2,15 +2,17 @@
 
 A BRDF f [sr^-1] is the ratio of outgoing radiance to incident irradiance. Here directions are unit vectors
 (..., 3) in the surface's own frame: z along the normal, x along the map's columns and y along its rows (of a
-DataArray, to the east and to the south), both within the surface. A reflectance is energy-bounded if its
-directional-hemispheric reflectance, the integral of f cos(theta_o), is at most 1 for every incoming
-direction, and reciprocal (Helmholtz) if f(incoming, outgoing) = f(outgoing, incoming).
+DataArray, to the east and to the south), both within the surface; :class:`BRDF` has the formulas. A
+reflectance is energy-bounded if its directional-hemispheric reflectance, the integral of f cos(theta_o), is
+at most 1 for every incoming direction, and reciprocal (Helmholtz) if f(incoming, outgoing) = f(outgoing,
+incoming).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -131,6 +133,14 @@ class Mirror:
 class BRDF:
     """Any reflectance, given as a function f(incoming, outgoing) [sr^-1] of two arrays (..., 3) -> (...).
 
+    Both are unit vectors from the surface, to where light comes from and to where it goes, in the frame of
+    the node's own surface: z along its normal on the viewer's side, so z > 0 above the surface (a brightness
+    function gets z <= 0 there); x along the tangent (1, 0, dz/dx), to increasing columns; y along (-p q, 1 +
+    p^2, q) for p = dz/dx and q = dz/dy of the depth z, to increasing rows, at right angles to both. Of a
+    DataArray x is turned to the east and y to the south: reversed where columns run west, or rows north. What
+    f gives for z <= 0 counts as 0. A render's outgoing direction is that to the viewer, (-p / sqrt(1 + p^2),
+    -q / sqrt((1 + p^2) (1 + p^2 + q^2)), 1 / sqrt(1 + p^2 + q^2)).
+
     Its directional-hemispheric reflectance is integrated numerically for incoming directions all over the
     hemisphere; an InputError gives the direction for which it exceeds 1, and the excess. ``largest`` is the
     largest value of f. ``asymmetry``: the largest |f(i, o) - f(o, i)| over the largest f, near 0 where f is
@@ -212,26 +222,29 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
     black = _number(share(black, "grooves: black"), "black")
     if not 0 < steepness < 90:
         raise bad("grooves: steepness", steepness, "between 0 and 90 degrees")
-    rise = np.tan(np.radians(steepness))
+    return BRDF(partial(_groove_brdf, white=white, black=black, slope=np.radians(steepness)))
 
-    def shows(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine to the white face's normal over cos(steepness), and the share of the face that w meets."""
-        x, z = w[..., 0], np.maximum(w[..., 2], 1e-12)
-        facing = np.maximum(0.0, z - rise * x)
-        return facing, np.where(x < 0, np.minimum(1.0, 2 * z / (rise * np.abs(x) + z)), 1.0)
 
-    def function(incoming: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        total: np.ndarray = np.zeros(())
-        for albedo, way in ((white, [1, 1, 1]), (black, [-1, 1, 1])):
-            (a, lit), (b, seen) = shows(incoming * way), shows(outgoing * way)
-            # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines
-            # are cos x a, cos x b
-            half = albedo / np.pi * 0.5 * np.cos(np.radians(steepness))
-            total = total + half * a * b * np.minimum(lit, seen)
-        total /= np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12)
-        return total
+def _groove_brdf(
+    incoming: np.ndarray, outgoing: np.ndarray, white: float, black: float, slope: float
+) -> np.ndarray:
+    """f [1/sr] of :func:`grooves`; ``slope`` of their faces [rad]."""
+    total: np.ndarray = np.zeros(())
+    for albedo, way in ((white, [1, 1, 1]), (black, [-1, 1, 1])):
+        (a, lit), (b, seen) = (_shown_face(w * way, np.tan(slope)) for w in (incoming, outgoing))
+        # half of the level area lies under each face, which is larger by 1 / cos and whose two cosines
+        # are cos x a, cos x b
+        half = albedo / np.pi * 0.5 * np.cos(slope)
+        total = total + half * a * b * np.minimum(lit, seen)
+    total /= np.maximum(incoming[..., 2], 1e-12) * np.maximum(outgoing[..., 2], 1e-12)
+    return total
 
-    return BRDF(function)
+
+def _shown_face(w: np.ndarray, rise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine to the white face's normal over cos(steepness), and the share of the face that w meets."""
+    x, z = w[..., 0], np.maximum(w[..., 2], 1e-12)
+    facing = np.maximum(0.0, z - rise * x)
+    return facing, np.where(x < 0, np.minimum(1.0, 2 * z / (rise * np.abs(x) + z)), 1.0)
 
 
 def mirror_directions(tilt_x: np.ndarray, tilt_y: np.ndarray) -> np.ndarray:

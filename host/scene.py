@@ -377,10 +377,15 @@ def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str
             f"finite {what} wherever the mask is True",
             "Pass mask=numpy.isfinite(depth) to leave them out.".replace("depth", what),
         )
-    # of the map's own type where that is at least float32, so that what is rounded is the difference
+    # of the map's own type where that is at least float32, so that what is rounded is the difference; whole
+    # numbers of 64 bits are subtracted modulo 2^64, which is exact
     top: Any = None
     extreme = max(least, most, key=abs)
-    if what == "height":
+    whole = values.dtype.kind in "iu" and values.dtype.itemsize == 8
+    if what == "height" and whole:
+        top = np.uint64(most % 2**64)
+        least, most = 0, np.uint64(most - least)
+    elif what == "height":
         top = np.float32(most) if values.dtype == np.float32 else np.float64(most)
         with np.errstate(over="ignore"):
             least, most = 0.0, float(top - np.asarray(least, top.dtype))
@@ -393,7 +398,8 @@ def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str
         if top is None:
             np.copyto(depth[rows], values[rows], casting="unsafe")
         else:
-            np.subtract(top, values[rows], out=depth[rows], casting="same_kind")
+            part = values[rows].astype(np.uint64, copy=False) if whole else values[rows]
+            np.subtract(top, part, out=depth[rows], casting="same_kind")
         if mask is not None:
             depth[rows][~mask[rows]] = np.nan
 
@@ -402,15 +408,17 @@ def _checked(values: np.ndarray, mask: np.ndarray | None, what: str) -> dict[str
     return {"depth": depth, "_range": (float(np.float32(least)), float(np.float32(most)))}
 
 
-def _range_of(values: np.ndarray, mask: np.ndarray | None) -> tuple[float, float]:
-    """Least and greatest valid value; nan or infinite if one is."""
+def _range_of(values: np.ndarray, mask: np.ndarray | None) -> tuple[Any, Any]:
+    """Least and greatest valid value, int of whole numbers, else float; nan or infinite if one is."""
 
-    def of(rows: slice) -> tuple[float, float] | None:
+    def of(rows: slice) -> tuple[Any, Any] | None:
         some = values[rows] if mask is None else values[rows][mask[rows]]
-        return (float(some.min()), float(some.max())) if some.size else None
+        return (some.min().item(), some.max().item()) if some.size else None
 
-    ranges = np.array([ends for ends in by_bands(of, values.shape) if ends is not None])
-    return float(ranges[:, 0].min()), float(ranges[:, 1].max())
+    lows, highs = zip(*(ends for ends in by_bands(of, values.shape) if ends is not None))
+    if values.dtype.kind in "iu":
+        return min(lows), max(highs)
+    return float(np.min(lows)), float(np.max(highs))
 
 
 def is_scene(scene: object) -> None:

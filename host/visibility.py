@@ -13,6 +13,7 @@ from .backends.base import within
 from .checks import one_of, positive_number, whole_number
 from .directions import Hemicube
 from .errors import CapacityError, bad
+from .images import is_in_colour
 from .light import lattice, propagation
 from .light.propagation import Problem, Progress
 from .rendering import render
@@ -195,8 +196,12 @@ class VisibilityField:
         to node, as in propagation, and hits the column that it first stands below. Walls, and the
         surroundings of an open map, are black.
 
-        Raises InputError if the point is not in the field or lies below the surface; BackendError.
+        Raises InputError if the point is not in the field or lies below the surface, or where the source or
+        the surface is in colour; BackendError.
         """
+        shares = (getattr(self.scene.reflectance, name, 0.0) for name in ("albedo", "specular"))
+        if any(is_in_colour(np.asarray(share)) for share in shares):
+            raise bad("field: view", "a surface in colour", "a grey one", "Only render takes colour.")
         try:
             x, y, layer = point
         except (TypeError, ValueError):

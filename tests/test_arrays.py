@@ -583,6 +583,23 @@ def test_relief_far_above_zero(fast):
     np.testing.assert_allclose(far.image, plain.image, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "dtype, least", [("i8", 2**53), (">i8", 2**53), ("i8", -(2**63)), ("u8", 2**64 - 20)]
+)
+def test_heights_of_64_bits_keep_their_digits(dtype, least):
+    """float64 holds whole numbers up to 2^53; a difference of any two is exact modulo 2^64."""
+    height = np.array([[least + 4 * row + col for col in range(4)] for row in range(4)], dtype)
+    depth = 15.0 - np.arange(16).reshape(4, 4)
+    scene = sl.Scene.from_height(height)
+    assert scene.deepest == 15
+    np.testing.assert_array_equal(scene.depth, depth)
+    mask = depth < 12
+    height[0] = np.iinfo(height.dtype).max
+    scene = sl.Scene.from_height(height, mask=mask)
+    assert scene.deepest == 11
+    np.testing.assert_array_equal(scene.depth, np.where(mask, depth, np.nan))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "periodic"])
 def test_depths_far_from_zero_under_a_sky(fast, sides):

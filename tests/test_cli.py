@@ -428,6 +428,7 @@ def test_backends(capsys):
         (["render", "depth.npy", "--out", "a.npy", "--lamp", "7,6,1000,3"], 3, "below the surface"),
         (["render", "depth.npy", "--out", "a.png", "--white", "-1"], 3, "low < high"),
         (["render", "depth.npy", "--out", "a.png", "--bits", "12"], 3, "8 or 16"),
+        (["render", "depth.npy", "--out", "a.png", "--exposure", "2000"], 3, "number of stops"),
         (["render", "depth.npy", "--out", "a.npy", "--backend", "warp:cuda:99"], 4, "warp:cuda:99"),
         (["recover", "image.npy", "--out", "a.npy", "--backend", "opencl:9:9"], 4, "opencl:9:9"),
         (["recover", "image.npy", "--out", "a.npy", "--stop", "never"], 2, "never"),

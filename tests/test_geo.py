@@ -464,6 +464,25 @@ def test_a_file_in_place_of_a_raster(tmp_path):
     refused(("like: got PosixPath", "Raster"), geo.write, tmp_path / "a.tif", HEIGHT, path)
 
 
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.ma.masked_less(HEIGHT, 1e9),
+        [[1, 2], [3]],
+        HEIGHT.astype(np.longdouble),
+        HEIGHT.astype(np.float16),
+        HEIGHT * 1j,
+        np.zeros((0, *HEIGHT.shape)),
+        HEIGHT[1:],
+    ],
+)
+def test_what_a_geotiff_would_not_give_back_is_refused(tmp_path, array):
+    """A mask was dropped; ragged lists and long doubles were raw errors."""
+    raster = geo.read(make(tmp_path / "d.tif"))
+    refused("cannot write the array", geo.write, tmp_path / "a.tif", array, raster)
+    assert not (tmp_path / "a.tif").exists()
+
+
 def test_failing_write_leaves_no_trace(tmp_path, monkeypatch):
     """A full disk at the last moment: the older file stays."""
     raster = geo.read(make(tmp_path / "a.tif"))

@@ -13,6 +13,7 @@ from skylamp import sources
 from skylamp.backends import select
 from skylamp.light.horizon import Horizons
 from skylamp.sources import integrals
+from skylamp.sources.brightness import distribution
 from skylamp.sources.integrals import Integrals, even, sector_multiples
 
 FLAT = sl.Scene(np.full((24, 31), 5.0))
@@ -538,3 +539,25 @@ def test_integrals_are_kept_with_what_they_are_of(monkeypatch):
     last = sl.environment_map(image[..., 0] + 1)
     level(last)
     assert list(kept.of)[0][0] == id(last) and len(kept.of) == 1
+
+
+@pytest.mark.parametrize(
+    "brightness",
+    [
+        sl.uniform(2.0),
+        sl.cosine_power(3),
+        sl.cosine_power(90),
+        sl.cosine_power(1e6, (0.1, 0.2, 1.0)),
+        sl.cie_overcast(),
+        sl.cie_sky(12, (10, 40)),
+        sl.cie_clear((10, 40), direct=2.0),
+    ],
+)
+def test_brightness_can_be_pickled(brightness):
+    """As processes get it, with what samples of it do not show; uniform() had a local function."""
+    L = np.random.default_rng(4).normal(size=(50, 3))
+    L /= -np.linalg.norm(L, axis=1, keepdims=True)
+    copied = pickle.loads(pickle.dumps(sl.Sky(brightness))).brightness
+    np.testing.assert_array_equal(copied(L), brightness(L))
+    before, after = map(distribution, (brightness, copied))
+    assert after.narrow() == before.narrow() and after.disc() == before.disc()

@@ -17,6 +17,7 @@ import skylamp as sl
 from skylamp import io
 from skylamp.app import parsing
 from skylamp.errors import InputError
+from skylamp.io.files import LUMINANCE
 from skylamp.io.paths import MAP_SUFFIXES
 
 RNG = np.random.default_rng(7)
@@ -144,11 +145,63 @@ def test_range_only_where_skylamp_wrote_it(tmp_path):
         (dict(bits=12), ("bits of a PNG: got 12", "8 or 16")),
         (dict(range=(1, 1)), "low < high"),
         (dict(range=(0, np.nan)), "low < high"),
+        (dict(range=(-1e308, 1e308)), "low < high"),
+        (dict(range=5), ("range: got 5", "low < high")),
+        (dict(range=(0, 1, 2)), "low < high"),
+        (dict(range="01"), ("range: got '01'", "low < high")),
+        (dict(range=(None, 1)), "low < high"),
+        (dict(bits=16.0), ("bits of a PNG: got 16.0", "8 or 16")),
+        (dict(bits="8"), ("bits of a PNG: got '8'", "8 or 16")),
     ],
 )
 def test_bad_scale(tmp_path, options, says):
     """A scale that means nothing is refused and writes nothing."""
     refused(io.write, tmp_path / "a.png", np.ones((2, 2)), says=says, **options)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name, array, options, says",
+    [
+        ("a.npy", FLOATS, dict(range=(0, 1)), "other formats than PNG"),
+        ("a.tif", FLOATS, dict(bits=16), "other formats than PNG"),
+        ("a.npz", FLOATS, dict(bits=8), "other formats than PNG"),
+        ("a.exr", FLOATS, dict(range=(0, 1)), "other formats than PNG"),
+        ("a.png", GREY8, dict(range=(0, 1)), ("counts are kept", "no range, and 8 bits")),
+        ("a.png", GREY16, dict(bits=8), ("counts are kept", "no range, and 16 bits")),
+        ("a.png", GREY8 > 9, dict(bits=16), "counts are kept"),
+        ("a.png", GREY8, dict(bits=12), "bits of a PNG: got 12"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(tmp_path, name, array, options, says):
+    """They were ignored without a word; the bits that counts have may be said."""
+    if name.endswith(".exr"):
+        pytest.importorskip("OpenEXR")
+    refused(io.write, tmp_path / name, array, says=says, **options)
+    assert not list(tmp_path.iterdir())
+    io.write(tmp_path / "b.png", GREY16, bits=16)
+    same(io.read(tmp_path / "b.png"), GREY16)
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (dict(name="allow_pickle"), "name of an array: got 'allow_pickle'"),
+        (dict(name="file"), "name of an array: got 'file'"),
+        (dict(allow_pickle=GREY8), "name of an array: got 'allow_pickle'"),
+        (dict(name=None), "name of an array: got None"),
+        (dict(name=""), "name of an array: got ''"),
+        (dict(image=GREY8), "two arrays of one name: got 'image'"),
+        (dict(other=np.array([{}, None])), "array other: got dtype object"),
+        (dict(other="text"), "array other: got dtype <U4"),
+        (dict(other=np.ma.masked_less(FLOATS, 0)), "array other: a numpy masked array"),
+        (dict(other=np.zeros(0)), "array other: got dtype float64, shape (0,)"),
+        (dict(other=[[1, 2], [3]]), "array other: got ValueError"),
+    ],
+)
+def test_npz_refuses_what_it_would_not_give_back(tmp_path, options, says):
+    """NumPy pickled objects, dropped masks and took two names as its own parameters."""
+    refused(io.write, tmp_path / "a.npz", FLOATS, says=says, **options)
     assert not list(tmp_path.iterdir())
 
 
@@ -498,6 +551,15 @@ def test_environment_maps(tmp_path):
     )
     io.write(tmp_path / "g.png", GREY16)
     np.testing.assert_array_equal(io.read_environment(tmp_path / "g.png"), GREY16 / 65535)
+    values = 1 + 3 * GREY8 / 255
+    values[0, :2] = 1, 4
+    io.write(tmp_path / "r.png", values, bits=16, range=(1.0, 4.0))
+    np.testing.assert_allclose(io.read_environment(tmp_path / "r.png"), values, atol=1.6 / 65535)
+    np.testing.assert_array_equal(
+        io.read_environment(tmp_path / "r.png"), io.read(tmp_path / "r.png", scaled=True)
+    )
+    io.write(tmp_path / "c.png", 2.0 * rgb, range=(0, 1020))
+    np.testing.assert_allclose(io.read_environment(tmp_path / "c.png"), 2.0 * rgb @ LUMINANCE, atol=2.01)
     np.save(tmp_path / "a.npy", np.zeros((4, 8, 2)))
     refused(io.read_environment, tmp_path / "a.npy", says="(rows, cols, 3)")
 
@@ -548,7 +610,13 @@ def test_the_order_of_bytes_does_not_matter(tmp_path, name, dtype):
 
 @pytest.mark.parametrize(
     "array",
-    [np.arange(5.0), np.float64(1), np.ones((2, 2), np.longdouble), np.ma.masked_less(np.eye(3), 0.5)],
+    [
+        np.arange(5.0),
+        np.float64(1),
+        np.ones((2, 3, 4, 5)),
+        np.ones((2, 2), np.longdouble),
+        np.ma.masked_less(np.eye(3), 0.5),
+    ],
 )
 def test_a_tiff_refuses_what_it_would_not_give_back(tmp_path, array):
     with pytest.raises(InputError, match="x.tif"):

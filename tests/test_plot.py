@@ -275,3 +275,31 @@ def test_terrain_has_north_and_a_scale_bar_of_a_round_length():
         plot.terrain(values, 0.0)
     with pytest.raises(sl.InputError, match="terrain: values"):
         plot.terrain(values[0], 1.0)
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (dict(spacing=(30.0, 30.0)), "spacing"),
+        (dict(vmin=3.0, vmax=1.0), "vmin, vmax"),
+        (dict(vmin=10.0), "vmin, vmax"),
+        (dict(vmax=-1.0), "vmin, vmax"),
+        (dict(vmin="low"), "vmin, vmax"),
+        (dict(vmin=np.nan), "vmin, vmax"),
+        (dict(values=np.ones((2, 3), complex)), "values"),
+        (dict(values=np.ones((0, 3))), "values"),
+    ],
+)
+def test_terrain_refuses_what_matplotlib_would_fail_at(options, says):
+    """Limits out of order are so beside the map's own least and largest value too."""
+    with pytest.raises(sl.InputError, match=f"plot.terrain: {says}"):
+        plot.terrain(**{"values": np.arange(6.0).reshape(2, 3), "spacing": 30.0, **options})
+
+
+def test_terrain_shows_dollars(tmp_path):
+    """Mathtext that matplotlib cannot read is shown as it is; what it can read is set."""
+    for text, read in (("$5_$", False), ("a $\\foo$", False), ("m$^2$", True), ("5 $", True)):
+        figure = plot.terrain(np.arange(6.0).reshape(2, 3), 30.0, text, text)
+        assert figure.axes[0].title.get_parse_math() == figure.axes[1].yaxis.label.get_parse_math() == read
+        plot.save(figure, tmp_path / "a.png", dpi=20)
+    assert not plot.terrain(np.full((2, 3), np.nan), 30.0).axes[0].title.get_text()

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -1109,3 +1110,34 @@ def test_an_albedo_where_masked_is_of_no_effect(fast):
         assert np.isfinite(found.image[mask]).all()
         assert_bits_equal(np.nan_to_num(found.image), np.nan_to_num(expected.image))
     np.testing.assert_array_equal(surface, kept)
+
+
+@pytest.mark.parametrize("steepness", [45.0, 60.0])
+def test_reflectances_can_be_pickled(steepness):
+    """As processes get them; grooves had a local function."""
+    w = np.random.default_rng(4).normal(size=(2, 50, 3))
+    for surface in (sl.grooves(0.9, 0.2, steepness), sl.Phong(0.2, 0.3, 7), sl.Lambertian(0.4), sl.Mirror()):
+        copied = pickle.loads(pickle.dumps(surface))
+        for name in surface.__dict__.keys() - {"function"}:
+            assert getattr(copied, name) == getattr(surface, name)
+        if not isinstance(surface, sl.Mirror):
+            np.testing.assert_array_equal(copied.brdf(*w), surface.brdf(*w))
+
+
+def test_the_frame_that_a_brdf_gets_directions_in():
+    """On a plane with p = dz/dx, q = dz/dy: the viewer's direction, and light from above, as documented."""
+    y, x = np.mgrid[:6, :6]
+    p, q, seen = 0.5, 0.3, []
+
+    def f(incoming, outgoing):
+        seen.append((incoming.copy(), outgoing.copy()))
+        return np.full(incoming.shape[:-1], 0.1)
+
+    scene, lamp = sl.Scene(5 + p * x + q * y, reflectance=sl.BRDF(f)), sl.Lamp((900.0, -600.0, -3000.0), 1.0)
+    sl.render(scene, lamp, backend="numpy", interreflection=False)
+    incoming, outgoing = (w.reshape(-1, 3)[0] for w in seen[-1])
+    axes = np.array([[1, 0, p], [-p * q, 1 + p * p, q], [p, q, -1]])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    np.testing.assert_allclose(outgoing, axes @ [0, 0, -1], atol=1e-6)
+    to_lamp = np.array([900.0, -600.0, -3005.0])
+    np.testing.assert_allclose(incoming, axes @ to_lamp / np.linalg.norm(to_lamp), atol=5e-3)

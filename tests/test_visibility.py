@@ -549,3 +549,18 @@ def test_a_view_through_a_hole_in_the_data(backend):
         view = sl.visibility_field(sl.Scene(depth, mask=mask), sl.Sky(), 9, backend=backend).view((0, 0, 0))
         n = int(np.flatnonzero((view.steps == (4, 0, 4)).all(1))[0])
         assert tuple(view.hit[n]) == (0, 8)
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        dict(albedo=(0.8, 0.2, 0.1)),
+        dict(albedo=np.full((20, 30, 3), 0.5)),
+        dict(reflectance=sl.Phong(0.5, (0.1, 0.2, 0.3))),
+    ],
+)
+def test_a_view_of_ground_in_colour_is_refused(fast, surface):
+    """As that of a source in colour is: a view has one brightness per direction."""
+    scene, lamp = sl.Scene(np.full((20, 30), 14.0), **surface), sl.Lamp(center=(4, 10, -4), radius=4)
+    with pytest.raises(InputError, match="field: view: got a surface in colour"):
+        sl.visibility_field(scene, lamp, 3, backend=fast).view((10, 10, 5), fast)

@@ -192,6 +192,8 @@ def _check_png(exposure: float | None, out: str, white: float | None, bits: int)
             " format",
             param_hint="--exposure",
         )
+    if exposure is not None:
+        io.tone_mapped(0.0, exposure)  # an exposure that is none is refused before any work
     for option, given in counts.items():
         if given and not is_png:
             raise typer.BadParameter("is of a .png; other formats hold radiance as it is", param_hint=option)

@@ -114,12 +114,15 @@ def write(
     """Write ``array`` to a file, or as .npy to stdout if ``out`` is "-".
 
     A .tif is a GeoTIFF if ``raster`` is given, of three bands for colours. Options are those of
-    :func:`skylamp.io.write`. Returns the range of a scaled PNG, else None.
+    :func:`skylamp.io.write`; ``range`` and ``bits`` are used for a .png alone. Returns the range of a scaled
+    PNG, else None.
     """
     if raster is not None and out.lower().endswith((".tif", ".tiff")):
         geo.write(out, array, raster)
         return None
     if out != "-":
+        if not out.lower().endswith(".png"):
+            options = {key: options[key] for key in options.keys() - {"range", "bits"}}
         return io.write(out, array, **options)
     np.save(sys.stdout.buffer, array, allow_pickle=False)
     sys.stdout.flush()

@@ -46,7 +46,8 @@ def field(
     ``every``: nodes between discs. Only directions (i, 0, k) lie in the plane: the field's hemicube of M
     makes 4 (M - 1) sectors.
 
-    Raises InputError for a row outside the map, or if matplotlib is not installed.
+    Raises InputError for a row outside the map, a source or a surface in colour, or if matplotlib is not
+    installed.
     """
     matplotlib = _matplotlib()
     rows, cols = field.scene.shape
@@ -283,24 +284,51 @@ def terrain(
     """A map of values (rows, cols) with north, a scale bar and a scale of the values.
 
     spacing: distance of neighbouring nodes [m]. north is up, the direction -y. title, label: texts of the map
-    and of its scale, with the unit. vmin, vmax: the values of black and white; the least and the largest
-    unless given.
+    and of its scale, with the unit; what stands between two $ is mathtext, unless matplotlib cannot read it.
+    vmin, vmax: the values of black and white; the least and the largest unless given.
 
-    Returns a matplotlib Figure. Raises InputError for another shape or spacing, or if matplotlib is not
-    installed.
+    Returns a matplotlib Figure. Raises InputError for another shape, type or spacing, a vmin above vmax, or
+    if matplotlib is not installed.
 
     Example: ``plot.save(plot.terrain(sl.sky_view_factor(scene), 30.0, label="sky-view factor"), "svf.png")``
     """
     _matplotlib()
     values = np.asarray(values)
-    if values.ndim != 2:
-        raise bad("plot.terrain: values", f"shape {values.shape}", "(rows, cols)")
-    if not (np.isfinite(spacing) and spacing > 0):
-        raise bad("plot.terrain: spacing", spacing, "a positive number of metres")
+    if values.ndim != 2 or not values.size or values.dtype.kind not in "biuf":
+        got = f"shape {values.shape}, dtype {values.dtype}"
+        raise bad("plot.terrain: values", got, "real numbers (rows, cols), at least one")
+    spacing = positive_number(spacing, "plot.terrain: spacing")
+    _check_limits(values, vmin, vmax)
     rows, cols = values.shape
     figure = _figure(6.2, float(np.clip(5.2 * rows / cols + 0.4, 2, 9)))
     draw_terrain(figure.add_subplot(), values, spacing, title, label, vmin, vmax)
     return figure
+
+
+def _check_limits(values: np.ndarray, vmin: Any, vmax: Any) -> None:
+    """InputError unless the limits, by default the least and the largest finite value, are in order."""
+    known = values[np.isfinite(values)]
+    least, most = (known.min(), known.max()) if known.size else (0.0, 1.0)
+    try:
+        low, high = float(least if vmin is None else vmin), float(most if vmax is None else vmax)
+    except (TypeError, ValueError, OverflowError):
+        low = high = np.nan
+    if not (np.isfinite([low, high]).all() and low <= high):
+        got = f"{vmin!r}, {vmax!r} of values from {least} to {most}"
+        raise bad("plot.terrain: vmin, vmax", got, "finite numbers, vmin <= vmax")
+
+
+def _shown_as(text: str) -> dict[str, Any]:
+    """Properties with which matplotlib shows a text: literally where it is no mathtext that it can read."""
+    from matplotlib.cbook import is_math_text
+    from matplotlib.mathtext import MathTextParser
+
+    try:
+        if is_math_text(text):
+            MathTextParser("path").parse(text)
+    except ValueError:
+        return {"parse_math": False}
+    return {}
 
 
 def draw_terrain(
@@ -317,9 +345,10 @@ def draw_terrain(
     shown = axes.imshow(values, cmap="gray", vmin=vmin, vmax=vmax, interpolation="nearest")
     axes.set_xticks([])
     axes.set_yticks([])
-    axes.set_title(title, fontsize=11)
+    axes.set_title(title, fontsize=11, **_shown_as(title))
     if label:
-        axes.figure.colorbar(shown, ax=axes, shrink=0.85, pad=0.02, label=label)
+        bar = axes.figure.colorbar(shown, ax=axes, shrink=0.85, pad=0.02)
+        bar.set_label(label, **_shown_as(label))
     length = _round_length(cols * spacing / 4)
     words = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     x, y, wide = 0.05 * cols, 0.93 * rows, length / spacing

@@ -24,6 +24,9 @@ from .paths import HDR, MAP_SUFFIXES, StrPath, destination, readable, reading, r
 
 NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 ROLES = ("depth", "height", "image")
+NOT_NAMES = ("", "file", "allow_pickle")  # of arrays in an .npz: NumPy's writer has parameters of these names
+NOT_WRITTEN = "cannot write the array"
+MOST_STOPS = 1000  # so that 2^stops is finite
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear red, green, blue: ITU-R BT.709
 
 
@@ -49,8 +52,7 @@ def read(path: StrPath, name: str | None = None, *, scaled: bool = False) -> np.
             array = _read_npz(path, name)
         elif path.suffix.lower() == ".png":
             array = png.read(path, colours=(0,))
-            if scaled and (range := png.read_range(path)) is not None:
-                array = range[0] + array * ((range[1] - range[0]) / np.iinfo(array.dtype).max)
+            array = _values(path, array) if scaled else array
         elif path.suffix.lower() in HDR:
             array = hdr.read(path)
             if array.ndim == 3 and (array == array[..., :1]).all():
@@ -70,16 +72,17 @@ def read(path: StrPath, name: str | None = None, *, scaled: bool = False) -> np.
 def read_environment(path: StrPath) -> np.ndarray:
     """An environment map (rows, cols) float64 for :func:`skylamp.environment_map`: brightness per pixel.
 
-    Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE), an 8-bit RGB PNG
-    or a (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B (ITU-R BT.709).
-    Counts of integer files are taken as proportional to brightness, full scale (255, 65535) as 1; floating
-    values as they are. Errors as in :func:`read`.
+    Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE and COLORCORR), an
+    8-bit RGB PNG or a (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B
+    (ITU-R BT.709). Counts of a PNG that holds a range, see :func:`write`, are the values that they stand for;
+    those of other integer files are taken as proportional to brightness, full scale (255, 65535) as 1.
+    Floating values are taken as they are. Errors as in :func:`read`.
     """
     path = readable(path)
     suffix = path.suffix.lower()
     if suffix == ".png" or suffix in HDR:
         with reading(path):
-            array = png.read(path, colours=(0, 2)) if suffix == ".png" else hdr.read(path)
+            array = _values(path, png.read(path, colours=(0, 2))) if suffix == ".png" else hdr.read(path)
     else:
         array = read(path)
     if array.ndim != 2 and not (array.ndim == 3 and array.shape[2] == 3):
@@ -116,7 +119,7 @@ def write(
     array: ArrayLike,
     *,
     range: tuple[float, float] | None = None,
-    bits: int = 8,
+    bits: int | None = None,
     name: str = "image",
     **more: ArrayLike,
 ) -> tuple[float, float] | None:
@@ -124,32 +127,27 @@ def write(
 
     .npy and .tif keep the values and their type (bool becomes 0 and 255 in .tif). .exr keeps float16, float32
     and uint32, as channel Y, or R, G and B for (rows, cols, 3). .hdr holds (rows, cols) or (rows, cols, 3) of
-    floats >= 0 with 8 bits of mantissa: an error of up to 1 in 256 of a pixel's largest channel. .npz
+    floats from 0 to 1.69e38 with 8 bits of mantissa: an error of up to 1 in 256 of a pixel's largest channel;
+    pixels below 1e-32 become 0. .npz
     holds the array as ``name`` and the arrays in ``more``, which other formats do not take. An "image" (rows,
     cols, 3) is RGB in .tif and in .png, there with 8 bits. .png holds (rows, cols): uint8, uint16 and bool as
-    they are (True is 255), anything else as counts of ``bits`` (8 or 16): rint((value - low) / (high - low) *
-    full scale), clipped, NaN as 0, with ``range`` = (low, high), by default (0, the largest finite value);
-    the range is put into the file and :func:`read_range` gives it back.
+    they are (True is 255), anything else as counts of ``bits`` (8, the default, or 16): rint((value - low) /
+    (high - low) * full scale), clipped, NaN as 0, with ``range`` = (low, high), by default (0, the largest
+    finite value); the range is put into the file and :func:`read_range` gives it back.
 
     Returns the range of a scaled PNG, else None. Raises InputError for a missing parent folder, an unknown
-    extension, or an array that the format does not hold; OSError if the disk refuses.
+    extension, an array that the format does not hold, names that are two arrays' or NumPy's own (file,
+    allow_pickle), or a ``range`` or ``bits`` that would do nothing; OSError if the disk refuses.
     """
     path = writable(path)
-    if isinstance(array, np.ma.MaskedArray):
-        fix = "Pass array.filled(value)."
-        raise bad(f"{path}: a numpy masked array", "mask inside the array", "plain arrays", fix)
-    array, suffix = np.asarray(array), path.suffix.lower()
-    array = array.astype(array.dtype.newbyteorder("="), copy=False)
-    if array.dtype.kind not in "biuf" or array.size == 0:
-        got = f"dtype {array.dtype}, shape {array.shape}"
-        raise bad(f"{path}: cannot write the array", got, "real numbers, at least one")
+    array, suffix = numbers(array, f"{path}: {NOT_WRITTEN}"), path.suffix.lower()
     if more and suffix != ".npz":
         raise bad(f"{path}: only one array fits", f"{1 + len(more)} arrays", "several arrays in an .npz")
+    if suffix != ".png" and not (range is None and bits is None):
+        got, allowed = f"range {range!r}, bits {bits!r}", "neither: other formats than PNG keep the values"
+        raise bad(f"{path}: range and bits", got, allowed)
     if suffix == ".npz":
-        first: dict[str, Any] = {name: array}
-        others: dict[str, Any] = more
-        with replacing(path) as file:
-            np.savez_compressed(file, **first, **others)
+        _write_npz(path, array, name, more)
         return None
     if suffix == ".npy":
         with replacing(path) as file:
@@ -171,12 +169,18 @@ def tone_mapped(image: ArrayLike, exposure: float = 0.0) -> np.ndarray:
     """``image`` for a display, uint8 of the same shape: image x 2^exposure, clipped at 1, in sRGB's tones
     (IEC 61966-2-1).
 
-    ``exposure`` [stops]: 0 shows 1 as white, 1 shows 0.5 as white. NaN is black. Raises InputError for an
-    exposure that is not finite.
+    ``exposure`` [stops], -1000 to 1000: 0 shows 1 as white, 1 shows 0.5 as white. NaN is black. Raises
+    InputError for another exposure, or an image that is no real array.
     """
-    if isinstance(exposure, str) or not np.isfinite(exposure):
-        raise bad("exposure", repr(exposure), "a finite number of stops")
-    light = np.clip(np.nan_to_num(np.asarray(image, np.float64), nan=0.0) * 2.0**exposure, 0, 1)
+    try:
+        stops = np.nan if isinstance(exposure, (str, bytes)) else float(exposure)
+    except (TypeError, ValueError, OverflowError):
+        stops = np.nan
+    if not abs(stops) <= MOST_STOPS:
+        raise bad("exposure", repr(exposure), f"a finite number of stops, -{MOST_STOPS} to {MOST_STOPS}")
+    light = np.nan_to_num(numbers(image, "tone_mapped: image").astype(np.float64), nan=0.0)
+    with np.errstate(over="ignore"):  # it is clipped
+        light = np.clip(light * 2.0**stops, 0, 1)
     tones = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     counts: np.ndarray = np.rint(255 * tones).astype(np.uint8)
     return counts
@@ -192,6 +196,41 @@ def terrain() -> tuple[np.ndarray, float]:
     data = Path(__file__).parents[1] / "data"
     about = json.loads((data / "jacksboro.json").read_text(encoding="utf-8"))
     return read(data / "jacksboro.png").astype(np.float32), about["spacing"]
+
+
+def _values(path: Path, counts: np.ndarray) -> np.ndarray:
+    """What the counts of a PNG stand for, float64, if it holds a range, else the counts."""
+    range = png.read_range(path)
+    if range is None:
+        return counts
+    return range[0] + counts * ((range[1] - range[0]) / np.iinfo(counts.dtype).max)
+
+
+def numbers(values: Any, what: str) -> np.ndarray:
+    """``values`` as an array of real numbers, at least one, in the machine's order of bytes."""
+    if isinstance(values, np.ma.MaskedArray):
+        allowed, fix = "plain arrays", "Pass array.filled(value)."
+        raise bad(f"{what}: a numpy masked array", "mask inside the array", allowed, fix)
+    try:
+        array = np.asarray(values)
+    except Exception as error:  # ragged lists; whatever __array__ raises
+        got = f"{type(error).__name__}: {error}"
+        raise bad(what, got, "real numbers, at least one") from error
+    if array.dtype.kind not in "biuf" or array.size == 0:
+        raise bad(what, f"dtype {array.dtype}, shape {array.shape}", "real numbers, at least one")
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
+
+
+def _write_npz(path: Path, array: np.ndarray, name: Any, more: dict[str, Any]) -> None:
+    for key in (name, *more):
+        if not isinstance(key, str) or key in NOT_NAMES:
+            raise bad(f"{path}: name of an array", repr(key), f"text other than {', '.join(NOT_NAMES[1:])}")
+    if name in more:
+        raise bad(f"{path}: two arrays of one name", repr(name), "a name for each", "Pass another name=.")
+    arrays: dict[str, Any] = {name: array}
+    arrays |= {key: numbers(values, f"{path}: {NOT_WRITTEN} {key}") for key, values in more.items()}
+    with replacing(path) as file:
+        np.savez_compressed(file, **arrays)
 
 
 def _read_npz(path: Path, name: str | None) -> np.ndarray:

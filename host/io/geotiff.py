@@ -22,6 +22,7 @@ from ..arrays import metres_in, stretched
 from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
+from .files import numbers
 from .paths import StrPath, destination, readable, reading, replacing, reserve
 
 # share of its length by which a cell's other side may differ; slopes then have this relative error
@@ -233,12 +234,12 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
         raise bad("like", type(like).__name__, "the Raster whose georeference it has, from skylamp.geo.read")
     destination(path)
     rasterio = _rasterio(path)
-    array = np.asarray(array)
+    array = numbers(array, f"{path}: cannot write the array")
     array = array.astype(np.uint8) if array.dtype == bool else array
     if array.shape == (*like.values.shape, 3):
         array = np.moveaxis(array, -1, 0)
-    fits = array.shape[-2:] == like.values.shape and array.ndim in (2, 3) and bool(array.size)
-    if not fits or array.dtype.kind not in "iuf" or array.dtype == np.float16:
+    fits = array.shape[-2:] == like.values.shape and array.ndim in (2, 3)
+    if not fits or array.dtype == np.float16 or array.dtype.itemsize > 8:
         raise bad(
             f"{path}: cannot write the array",
             f"dtype {array.dtype}, shape {array.shape}",

@@ -12,6 +12,8 @@ from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from .paths import replacing, reserve
 
+BRIGHTEST = 255 * 2.0**119  # that a Radiance picture holds: a mantissa of 255/256, an exponent of 127
+
 
 def module(path: Path) -> Any:
     """OpenEXR or OpenCV, whichever reads and writes ``path``; InputError if it is not installed."""
@@ -109,23 +111,60 @@ def _read_radiance(path: Path) -> np.ndarray:
     array: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None or array.dtype != np.float32 or array.ndim != 3:
         raise ValueError("truncated or damaged")
-    exposures = [float(value) for value in re.findall(rb"^EXPOSURE=\s*(\S+)", header, re.MULTILINE)]
-    return array[..., ::-1] / np.float32(np.prod(exposures))
+    with np.errstate(over="ignore"):
+        light: np.ndarray = (array[..., ::-1] / _multipliers(header)).astype(np.float32)
+    if not np.isfinite(light).all():
+        got = f"light of up to {array.max():g} that EXPOSURE or COLORCORR takes beyond float32"
+        raise bad(f"{path}: brightness", got, "at most 3.4e38")
+    return light
+
+
+def _multipliers(header: bytes) -> np.ndarray:
+    """What red, green and blue were multiplied by: the product of all EXPOSURE and COLORCORR lines.
+
+    ValueError for lines that are not one and three finite numbers > 0.
+    """
+    product = np.ones(3)
+    for key, text in re.findall(rb"^(EXPOSURE|COLORCORR)=(.*)$", header, re.MULTILINE):
+        factors = [float(word) for word in text.split()]
+        if len(factors) != (1 if key == b"EXPOSURE" else 3) or not all(0 < f < np.inf for f in factors):
+            raise ValueError(f"{key.decode()} of {text.decode(errors='replace').strip()}")
+        product *= factors
+    if not ((product > 0) & (product < np.inf)).all():
+        raise ValueError(f"EXPOSURE and COLORCORR whose product is {product.tolist()}")
+    return product
 
 
 def _write_radiance(path: Path, array: np.ndarray) -> None:
     is_light = array.dtype.kind == "f" and bool(np.isfinite(array).all() and array.min() >= 0)
     if not is_light or not _is_picture(array):
+        least, most = np.fmin.reduce(array, None), np.fmax.reduce(array, None)
         raise bad(
             f"{path}: a Radiance picture holds light",
-            f"dtype {array.dtype}, shape {array.shape}, {np.nanmin(array)} to {np.nanmax(array)}",
+            f"dtype {array.dtype}, shape {array.shape}, {least} to {most}",
             "finite floats >= 0, (rows, cols) or (rows, cols, 3)",
             "Write .exr or .tif to keep negative values and NaN.",
         )
     cv2 = module(path)
-    rgb = array if array.ndim == 3 else np.stack([array] * 3, -1)
-    done, data = cv2.imencode(".hdr", np.ascontiguousarray(rgb[..., ::-1], np.float32))
+    light = _rounded(array if array.ndim == 3 else np.stack([array] * 3, -1))
+    if light.max() > BRIGHTEST:
+        allowed = f"at most {BRIGHTEST:.4g}"
+        raise bad(f"{path}: too bright for a Radiance picture", array.max(), allowed, "Use a larger unit.")
+    done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], np.float32))
     if not done:
         raise OSError(f"{path}: OpenCV could not encode it")
     with replacing(path) as file:
         file.write(data.tobytes())
+
+
+def _rounded(rgb: np.ndarray) -> np.ndarray:
+    """(rows, cols, 3) float64, rounded to what the format holds; OpenCV would cut it off instead."""
+    with np.errstate(over="ignore"):  # of long doubles
+        light = rgb.astype(np.float64)
+    most = light.max(-1, keepdims=True)
+    # a mantissa of the largest channel is 128 to 255 steps; -127 is the format's least exponent
+    step = np.ldexp(1.0, np.maximum(np.frexp(most)[1], -127) - 8)
+    step = np.where(np.rint(most / step) > 255, 2 * step, step)  # 255.5 steps and more are 128 of the next
+    with np.errstate(invalid="ignore"):  # inf / inf
+        rounded: np.ndarray = np.rint(light / step) * step
+    return rounded

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -80,15 +81,18 @@ def read_range(path: Path) -> tuple[float, float] | None:
 
 
 def write(
-    path: Path, array: np.ndarray, range: tuple[float, float] | None, bits: int, rgb: bool
+    path: Path, array: np.ndarray, range: tuple[float, float] | None, bits: int | None, rgb: bool
 ) -> tuple[float, float] | None:
     """Write (rows, cols), or (rows, cols, 3) if ``rgb``; integers of 8 and 16 bits as they are, else counts.
 
-    Returns the range of the counts, or None.
+    Returns the range of the counts, or None. InputError for a ``range`` or ``bits`` that the integers do not
+    have already.
     """
     import imageio.v3 as imageio
     from PIL.PngImagePlugin import PngInfo
 
+    if bits is not None and not (isinstance(bits, (int, np.integer)) and bits in (8, 16)):
+        raise bad(f"{path}: bits of a PNG", repr(bits), "8 or 16")
     if array.ndim != 2 and not rgb:
         raise bad(
             f"{path}: a PNG holds one picture",
@@ -96,11 +100,17 @@ def write(
             "(rows, cols)",
             "Write .npy, .npz or .tif instead.",
         )
-    if rgb and (bits != 8 or array.dtype == np.uint16):
+    if rgb and (bits == 16 or array.dtype == np.uint16):
         raise bad(f"{path}: a PNG in colour", "16 bits", "8 bits", "Write .npy, .npz or .tif instead.")
     info, scale = None, None
-    if array.dtype not in (np.uint8, np.uint16):
-        array, scale = _counts(array, range, bits, path)
+    if array.dtype in (np.uint8, np.uint16):
+        own = 8 * array.dtype.itemsize
+        if range is not None or bits not in (None, own):
+            got = f"{array.dtype} with range {range!r} and bits {bits!r}"
+            allowed = f"no range, and {own} bits"
+            raise bad(f"{path}: counts are kept", got, allowed, "Pass floating values to scale them.")
+    else:
+        array, scale = _counts(array, range, bits or 8, path)
         info = PngInfo()
         info.add_text(_RANGE, f"{scale[0]!r} {scale[1]!r}")
     with replacing(path) as file:
@@ -108,10 +118,13 @@ def write(
     return scale
 
 
-def _checked_range(range: tuple[float, ...], path: Path) -> tuple[float, float]:
-    low, high = map(float, range)
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise bad(f"{path}: range", (low, high), "finite (low, high) with low < high")
+def _checked_range(range: Any, path: Path) -> tuple[float, float]:
+    try:
+        low, high = (np.nan, np.nan) if isinstance(range, (str, bytes)) else map(float, range)
+    except (TypeError, ValueError, OverflowError):
+        low = high = np.nan
+    if not (low < high and np.isfinite(high - low)):
+        raise bad(f"{path}: range", repr(range), "finite (low, high) with low < high")
     return low, high
 
 
@@ -119,13 +132,12 @@ def _counts(
     array: np.ndarray, range: tuple[float, float] | None, bits: int, path: Path
 ) -> tuple[np.ndarray, tuple[float, float]]:
     """(counts of ``bits``, the range that they cover)."""
-    if bits not in (8, 16):
-        raise bad(f"{path}: bits of a PNG", bits, "8 or 16")
     array = array.astype(np.float64)
     if range is None:
         top = np.max(array, initial=0.0, where=np.isfinite(array))
         range = (0.0, top if top > 0 else 1.0)
     low, high = _checked_range(range, path)
     full = 2**bits - 1
-    scaled = np.nan_to_num((array - low) / (high - low) * full, nan=0.0)
+    with np.errstate(over="ignore"):  # it is clipped
+        scaled = np.nan_to_num((array - low) / (high - low) * full, nan=0.0)
     return np.rint(np.clip(scaled, 0, full)).astype(f"uint{bits}"), (low, high)

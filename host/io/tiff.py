@@ -45,8 +45,9 @@ def write(path: Path, array: np.ndarray, rgb: bool) -> None:
     """Write ``array`` in its own type; (rows, cols, 3) as red, green, blue if ``rgb``."""
     import tifffile
 
-    if array.ndim < 2 or array.dtype == np.longdouble:
-        got, allowed = f"shape {array.shape}, dtype {array.dtype}", "at least (rows, cols), of 8 to 64 bits"
+    if array.ndim not in (2, 3) or array.dtype.itemsize > 8:
+        got = f"shape {array.shape}, dtype {array.dtype}"
+        allowed = "(rows, cols) or (layers, rows, cols), of 8 to 64 bits"
         raise bad(f"{path}: cannot write the array", got, allowed, "Write .npy or .npz instead.")
     with replacing(path) as file:
         tifffile.imwrite(file, array, photometric="rgb" if rgb else "minisblack", metadata=None)

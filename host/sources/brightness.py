@@ -145,8 +145,11 @@ def uniform(brightness: float = 1.0) -> BrightnessFunction:
     function
         Of unit vectors (..., 3); it returns the same brightness (...) for all.
     """
-    value = brightness_number(brightness)
-    return Function(lambda L: np.full(np.shape(L)[:-1], value), ())
+    return Function(partial(_uniform, brightness=brightness_number(brightness)), ())
+
+
+def _uniform(L: np.ndarray, brightness: float) -> np.ndarray:
+    return np.full(np.shape(L)[:-1], brightness)
 
 
 def cosine_power(
