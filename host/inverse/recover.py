@@ -22,10 +22,11 @@ from ..scene import Scene, check_spacing
 from . import diagnostics
 from .carving import carved_layers
 from .confidence import UNTRUSTED, confidence_of, judgement_of
+from .finer_model import refit_of
 from .multigrid import Multigrid
 from .pyramid import NEAREST, Level, Pyramid, number_of, share_of_images
-from .resampling import doubled
-from .search import OutOfTime, Search
+from .resampling import doubled, halved_depth
+from .search import OutOfTime, Rival, Search
 
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
@@ -42,6 +43,7 @@ MAPS = (  # fields of Recovery that are maps
 )
 # share of the residual of all light below which that of direct light alone is believed
 DIRECT_SHARE = 0.25
+LEAST_RESIDUAL = 1e-12  # that another is divided by
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +130,8 @@ def recover(
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
-        its residual is less than a quarter of the other. It is several times as fast: False if it suffices.
+        its residual is less than a quarter of the other; std includes the answer that is not used, where it
+        explains the images about as well. It is several times as fast: False if it suffices.
     progress : callable, optional
         Called with (levels or layers done, their number). Residuals of levels go to the logger "skylamp".
 
@@ -355,9 +358,35 @@ def _recovered(
             return _recovery(given, limits, direct, spent, compiled)
     answer = _answer(given, limits, engine, progress, spent, direct)
     if interreflection == "auto" and not answer.was_cut:
-        if direct.levels[-1].residual < DIRECT_SHARE * answer.levels[-1].residual:
-            answer = direct
+        answer = _likelier(answer, direct)
     return _recovery(given, limits, answer, spent, compiled)
+
+
+def _likelier(answer: _Answer, direct: _Answer) -> _Answer:
+    """The answer with light between surfaces, or that without if it leaves much less of the images, by the
+    grid's model or by a finer one. The other answer is its rival.
+    """
+    left = {one: _unexplained(one) for one in (answer, direct)}
+    is_direct = any(less < DIRECT_SHARE * more for less, more in zip(left[direct], left[answer]))
+    own, other = (direct, answer) if is_direct else (answer, direct)
+    difference = other.z - own.z
+    for _ in range(own.search.comparing - own.level):
+        difference = halved_depth(difference)
+    likeness = min(1.0, left[own][-1] / max(left[other][-1], LEAST_RESIDUAL))
+    own.search.rivals.append(Rival(difference, likeness**4))
+    return own
+
+
+def _unexplained(answer: _Answer) -> tuple[float, float]:
+    """Rms of what the surface leaves of the images, over theirs: by the grid's model, and by the finer one
+    where that puts it right.
+    """
+    pyramid, left = answer.search.pyramid, answer.levels[-1].residual
+    if answer.level or not pyramid.is_small(0) or not pyramid.albedo_known:
+        return left, left
+    residuals = np.stack(pyramid.problem(0).irradiances(answer.z)) - np.stack(pyramid.images[0])
+    refit = refit_of(pyramid, 0, answer.z)
+    return left, share_of_images(residuals + refit.share * (np.stack(refit.residuals) - residuals))
 
 
 def _usual_albedo(answer: _Answer) -> float:
