@@ -1093,3 +1093,55 @@ def test_the_answer_that_auto_does_not_take_is_a_rival(fast):
     got = sl.recover(image, sl.Sky(), 0.8, "dark", layers=24, backend=fast)
     assert got.interreflection and rms(got.depth - depth) > 0.5
     assert np.mean(np.abs(got.depth - depth) < 2 * got.std) > 0.95
+
+
+def test_images_of_one_light_count_as_one(fast):
+    """Two copies tell no more than one image, of brightness 1 and 3 together no more than of their mean."""
+    image, ask = pair("bumps", "lamp")[1][:16, :16], functools.partial(recover, layers=LAYERS, backend=fast)
+    lamp, brighter = sl.Lamp((8, 8, -8), 4), sl.Lamp((8, 8, -8), 4, brightness=3.0)
+    spot = [sl.Lamp((8, 8, -8), 4, brightness=surfaces.source_of("lamp").brightness)] * 2
+    for images, lights in (([image, image], [lamp, lamp]), ([image, 3 * image], [lamp, brighter])):
+        once, twice = ask(image, lamp, ALBEDO, "dark"), ask(images, lights, ALBEDO, "dark")
+        np.testing.assert_allclose(twice.depth, once.depth, atol=1e-3)
+        np.testing.assert_allclose(twice.std, once.std, rtol=1e-2)
+        assert not any(text.startswith("Exposure") for text in twice.warnings)
+        with pytest.raises(sl.InputError, match="different lights"):
+            ask(images, lights, None, "dark")
+    told = ask([image, 1.2 * image], spot, ALBEDO, "dark").warnings
+    assert any("images 1 and 2 are of the same light" in text and "1.2 times" in text for text in told)
+
+
+def test_what_is_said_of_several_images_does_not_depend_on_their_order(fast):
+    """std, other depths and their mark; of an image that the other contradicts, too."""
+    y, x = np.mgrid[:16, :16]
+    scene = sl.Scene(8 + 2 * np.sin(x / 4) * np.cos(y / 5), albedo=0.5, sides="dark")
+    lamps = [sl.Lamp((8, 5, -6), 3), sl.Lamp((2, 13, -5), 3)]
+    images = [sl.render(scene, lamp, interreflection=False, backend=fast).image for lamp in lamps]
+    images[1] *= 1.3
+    one, other = (
+        recover(images[::step], lamps[::step], 0.5, "dark", layers=16, backend=fast) for step in (1, -1)
+    )
+    np.testing.assert_allclose(one.depth, other.depth, atol=0.02)
+    # the random vectors that probe the posterior fall on other images
+    np.testing.assert_allclose(np.median(one.std / other.std), 1, atol=0.05)
+    assert np.mean(np.isfinite(one.candidates) == np.isfinite(other.candidates)) > 0.99
+
+
+@pytest.mark.parametrize("interreflection", [False, True])
+def test_progress_goes_up_to_its_end(fast, interreflection):
+    steps = []
+    image = pair("bumps", "sky")[1]
+    sl.recover(
+        image,
+        sl.Sky(),
+        ALBEDO,
+        "dark",
+        layers=LAYERS,
+        backend=fast,
+        interreflection=interreflection,
+        progress=lambda *step: steps.append(step),
+    )
+    done, counts = zip(*steps)
+    assert list(done) == sorted(done) and done[-1] == counts[-1] and len(set(counts)) == 1
+    with pytest.raises(sl.InputError, match="progress"):
+        sl.recover(image, sl.Sky(), backend=fast, progress=3)

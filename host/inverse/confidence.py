@@ -60,7 +60,7 @@ class Judged:
     """The surface that is judged: z (rows, cols) [nodes of its grid] on grid ``level``, where it has at most
     SMALL nodes a side.
 
-    misfit (rows, cols): mean squares of model - first image around every node of the answer, which is
+    misfit (rows, cols): mean squares of model - images around every node of the answer, which is
     ``coarser`` grids finer. rivals: other answers, on this grid. refit: the surface by a finer model.
     """
 
@@ -104,7 +104,8 @@ def judgement_of(
     An albedo that was not known is taken for known on the way.
     """
     pyramid = multigrid.pyramid
-    misfit = blurred((pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2)
+    pairs = zip(pyramid.problem(level).irradiances(z), pyramid.images[level])
+    misfit = blurred(np.mean([(light - image) ** 2 for light, image in pairs], axis=0))
     small, grid = z, level
     while max(small.shape) > SMALL and grid < pyramid.coarsest:
         small, misfit, grid = halved_depth(small), halved(misfit), grid + 1
@@ -138,7 +139,7 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
 
 
 def by_noise(judged: Judged) -> np.ndarray:
-    """Variance by noise. A misfit of the first image beyond its noise counts as noise."""
+    """Variance by noise. A misfit of the images beyond their noise counts as noise."""
     pyramid, level = judged.pyramid, judged.level
     per_noise = (
         posterior_deviation(pyramid.problem(level), judged.z, pyramid.smoothness(level), PROBE) / PROBE
@@ -277,11 +278,12 @@ def even_albedo_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray
 
 def other_depths(pyramid: Pyramid, level: int, z: np.ndarray, apart: float) -> np.ndarray:
     """Depths (CANDIDATES, rows, cols) [nodes of the finest grid], at least so far from z, at which a pixel
-    has its value while the surface goes up or down as a whole; nan where there is none.
+    has its values, of all images in the same step, while the surface goes up or down as a whole; nan where
+    there is none.
     """
     shifts, misfits = misfits_of_shifts(pyramid, level, z)
-    crosses = (misfits[:-1] > 0) != (misfits[1:] > 0)
-    share = misfits[:-1] / np.where(crosses, misfits[:-1] - misfits[1:], 1)
+    crosses = ((misfits[:, :-1] > 0) != (misfits[:, 1:] > 0)).all(0)
+    share = (misfits[:, :-1] / np.where(crosses, misfits[:, :-1] - misfits[:, 1:], 1)).mean(0)
     shift = shifts[:-1, None, None] + share * (shifts[1] - shifts[0])
     own, low, high = z * 2**level, *(bound * 2**level for bound in pyramid.bounds[level])
     valid = crosses & (np.abs(shift) > apart) & (own + shift >= low) & (own + shift <= high)
@@ -291,9 +293,12 @@ def other_depths(pyramid: Pyramid, level: int, z: np.ndarray, apart: float) -> n
 
 def misfits_of_shifts(pyramid: Pyramid, level: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Light of every pixel as its surface goes up and down as a whole: shifts (SHIFTS,) [nodes of the finest
-    grid] and model - image of the first image (SHIFTS, rows, cols).
+    grid] and model - image (images, SHIFTS, rows, cols).
     """
-    problem, target, (low, high) = pyramid.problem(level), pyramid.images[level][0], pyramid.bounds[level]
-    shifts = np.linspace(float((low - z).min()), float((high - z).max()), SHIFTS)
-    misfits = [problem.irradiances(np.maximum(z + shift, NEAREST))[0] - target for shift in shifts]
-    return shifts * 2**level, np.stack(misfits)
+    problem, (low, high) = pyramid.problem(level), pyramid.bounds[level]
+    shifts, images = (
+        np.linspace(float((low - z).min()), float((high - z).max()), SHIFTS),
+        pyramid.images[level],
+    )
+    misfits = [np.stack(problem.irradiances(np.maximum(z + shift, NEAREST))) - images for shift in shifts]
+    return shifts * 2**level, np.stack(misfits, axis=1)

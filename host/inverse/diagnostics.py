@@ -189,6 +189,15 @@ def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
     ]
 
 
+def of_exposures(alike: list[int], ratio: float) -> str:
+    """Warning that images of one light, their places in the list, differ in brightness by this factor."""
+    named = " and ".join(str(n + 1) for n in alike)
+    return (
+        f"Exposure: images {named} are of the same light, and the brightest is {ratio:.3g} times as bright as"
+        " the darkest. Their mean is taken; divide them by their exposures."
+    )
+
+
 def of_unit(albedo: float, with_ground: bool) -> list[str]:
     """Warning that light between surfaces cannot be known; ``albedo``: the median of that which was found."""
     if albedo <= IN_ANOTHER_UNIT:

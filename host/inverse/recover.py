@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +43,9 @@ MAPS = (  # fields of Recovery that are maps
 )
 # share of the residual of all light below which that of direct light alone is believed
 DIRECT_SHARE = 0.25
+# images of the same light whose means differ by more than this share were exposed differently; chosen: 1 %
+# of noise changes means of 32 x 32 pixels by 0.03 %
+SAME_EXPOSURE = 0.01
 LEAST_RESIDUAL = 1e-12  # that another is divided by
 
 
@@ -105,7 +108,8 @@ def recover(
     Parameters
     ----------
     image : (rows, cols) real array, or a list of such
-        Radiance, in the unit of the source's brightness. Finite, >= 0. Several are for method="robust".
+        Radiance, in the unit of the source's brightness. Finite, >= 0. Several are for method="robust"; those
+        of the same light count as one, their mean.
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
         As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0; or None, of several
@@ -144,6 +148,8 @@ def recover(
     one_of(method, RECOVER_METHODS, "method")
     one_of(stop, STOPS, "stop")
     check_choice(interreflection)
+    if not (progress is None or callable(progress)):
+        raise bad("progress", repr(progress), "a function of (done, their number), or None")
     given = _checked(image, source, albedo, sides, spacing, layers, method)
     eps = positive_number(eps, "eps")
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
@@ -153,13 +159,10 @@ def recover(
             limits = _limits(near, far, max_seconds, given)
             recovery = _recovered(given, limits, engine, progress, interreflection)
         return _labelled(recovery, given.labels)
-    if given.several or near is not None or far is not None or interreflection is True:
-        raise bad(
-            "method 'paper' with several images, near, far or interreflection=True",
-            "what it cannot use",
-            "one image and one source",
-            "Use method='robust'.",
-        )
+    cannot = {"near": near, "far": far, "lists of images": given.several or None}
+    cannot["interreflection=True"] = interreflection is True or None
+    if used := [name for name, value in cannot.items() if value is not None]:
+        raise bad("method 'paper'", ", ".join(used), "one image and one source", "Use method='robust'.")
     with within(max_seconds, "recover", engine):
         return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
 
@@ -177,6 +180,7 @@ class _Given:
     scene: Scene
     albedo_given: bool
     layers: int
+    warnings: list[str]
 
 
 def _checked(
@@ -197,6 +201,9 @@ def _checked(
     images = [_radiance(picture) for picture in images]
     if len({picture.shape for picture in images}) > 1:
         raise bad("images of different shape", [picture.shape for picture in images], "one shape")
+    for light in lights:
+        _check_light(light)
+    images, lights, warnings = _by_light(images, lights)
     if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or not 1 <= layers < MOST_LAYERS:
         raise bad("layers", repr(layers), f"a whole number from 1 to {MOST_LAYERS - 1}")
     if albedo is None and (len(images) == 1 or method != "robust"):
@@ -217,10 +224,39 @@ def _checked(
         )
     if np.any(np.asarray(scene.albedo) <= 0):
         raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
-    for light in lights:
-        _check_light(light)
     lights = [sources.on_axes(light, axes_of(labels)) for light in lights]
-    return _Given(images, lights, several, labels, scene, albedo is not None, int(layers))
+    return _Given(images, lights, several, labels, scene, albedo is not None, int(layers), warnings)
+
+
+def _by_light(
+    images: list[np.ndarray], lights: list[sources.Source]
+) -> tuple[list[np.ndarray], list[sources.Source], list[str]]:
+    """An image for each light: images of the same light tell no more than one, and become their mean.
+
+    Brightnesses that are numbers may differ. With warnings where the images then differ by as much.
+    """
+    first: list[int] = []  # image of the same light
+    for n, light in enumerate(lights):
+        first.append(next((m for m in range(n) if _is_same(lights[m], light)), n))
+    merged, kept, warnings = list[np.ndarray](), list[sources.Source](), list[str]()
+    for m in sorted(set(first)):
+        alike = [n for n, other in enumerate(first) if other == m]
+        units = [float(images[n].mean()) / number_of(lights[n]) for n in alike]
+        if max(units) > (1 + SAME_EXPOSURE) * min(units):
+            warnings.append(diagnostics.of_exposures(alike, max(units) / min(units)))
+        merged.append(np.mean([images[n] for n in alike], axis=0) if alike[1:] else images[m])
+        number = float(np.mean([number_of(lights[n]) for n in alike]))
+        kept.append(lights[m] if callable(lights[m].brightness) else replace(lights[m], brightness=number))
+    return merged, kept, warnings
+
+
+def _is_same(one: sources.Source, other: sources.Source) -> bool:
+    """Whether two sources differ at most by a factor, as far as their fields tell."""
+    if type(one) is not type(other) or callable(one.brightness) != callable(other.brightness):
+        return False
+    names = [field.name for field in fields(one) if field.name != "brightness" or callable(one.brightness)]
+    pairs = [(getattr(one, name), getattr(other, name)) for name in names]
+    return all(a is b or not isinstance(a, np.ndarray) and a == b for a, b in pairs)
 
 
 def _radiance(values: Any) -> np.ndarray:
@@ -346,7 +382,8 @@ def _recovered(
     for light in given.lights:
         _check_shape(light, given.scene.sides)
     compiled, spent = engine.compile_seconds, stopwatch(engine)
-    direct = _answer(given, limits, engine, progress, spent)
+    parts = 1 if interreflection is False else 2
+    direct = _answer(given, limits, engine, _part(progress, 0, parts), spent)
     if interreflection is False:
         return _recovery(given, limits, direct, spent, compiled)
     if interreflection == "auto":
@@ -356,10 +393,17 @@ def _recovered(
         if left_out:
             direct.warnings.extend(left_out)
             return _recovery(given, limits, direct, spent, compiled)
-    answer = _answer(given, limits, engine, progress, spent, direct)
+    answer = _answer(given, limits, engine, _part(progress, 1, parts), spent, direct)
     if interreflection == "auto" and not answer.was_cut:
         answer = _likelier(answer, direct)
     return _recovery(given, limits, answer, spent, compiled)
+
+
+def _part(progress: Progress | None, number: int, parts: int) -> Progress | None:
+    """``progress`` of the whole for a part of it, from 0 on, of as many steps as each other part."""
+    if progress is None:
+        return None
+    return lambda done, count: progress(number * count + done, parts * count)
 
 
 def _likelier(answer: _Answer, direct: _Answer) -> _Answer:
@@ -406,11 +450,13 @@ def _answer(
     """The problem on all grids, and the search until ``spent`` is beyond the limit. ``direct``: the answer by
     direct light, if this one is to be with light between surfaces.
     """
-    scene, levels, was_cut = given.scene, list[Level](), True
+    scene, was_cut = given.scene, True
+    levels = list[Level]() if direct is None else direct.levels.copy()
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
     warnings = diagnostics.of_images(
         given.images, lights, scene, float(limits.high.max()), given.albedo_given
     )
+    warnings.extend(given.warnings)
     albedo = scene.albedo if given.albedo_given else None
     bounds = np.maximum(limits.low, NEAREST), limits.high
     pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, direct is not None)
@@ -418,7 +464,7 @@ def _answer(
     def report(level: Level) -> None:
         levels[:] = [other for other in levels if other.shape != level.shape] + [level]
         if progress:
-            progress(len(levels), pyramid.start + 1)
+            progress(min(len(levels), pyramid.start), pyramid.start + 1)
 
     pyramid.stop, pyramid.report = lambda: spent() > limits.seconds, report
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
@@ -427,6 +473,8 @@ def _answer(
         return replace(direct, search=search)
     try:
         search.run()
+        if progress:
+            progress(pyramid.start + 1, pyramid.start + 1)
         was_cut = False
     except OutOfTime:
         warnings.append(f"Out of time after {limits.seconds:g} s: this is the best so far.")
