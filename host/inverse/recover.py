@@ -159,12 +159,17 @@ def recover(
             limits = _limits(near, far, max_seconds, given)
             recovery = _recovered(given, limits, engine, progress, interreflection)
         return _labelled(recovery, given.labels)
-    cannot = {"near": near, "far": far, "lists of images": given.several or None}
-    cannot["interreflection=True"] = interreflection is True or None
-    if used := [name for name, value in cannot.items() if value is not None]:
-        raise bad("method 'paper'", ", ".join(used), "one image and one source", "Use method='robust'.")
+    _check_carving(
+        near=near, far=far, lists=given.several or None, interreflection=interreflection is True or None
+    )
     with within(max_seconds, "recover", engine):
         return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
+
+
+def _check_carving(**given: Any) -> None:
+    """Refuses what method "paper" cannot use, where it is given."""
+    if used := [name for name, value in given.items() if value is not None]:
+        raise bad("method 'paper' with", ", ".join(used), "one image and one source", "Use method='robust'.")
 
 
 @dataclass(frozen=True, eq=False)
