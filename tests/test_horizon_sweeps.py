@@ -11,6 +11,7 @@ import re
 
 import numpy as np
 import pytest
+from compare import assert_bits_equal
 from scenes import resident_map, rough
 
 import skylamp as sl
@@ -509,3 +510,15 @@ def test_arrays_last_as_long_as_kernels_need_them(fast):
     image = sl.render(sl.Scene(depth, sides="periodic"), sl.Sky(), **options).image
     small = sl.render(sl.Scene(depth[:64, :64], sides="periodic"), sl.Sky(), **options).image
     np.testing.assert_allclose(image[512:576, 512:576], small, atol=0.01)
+
+
+def test_numpy_climbs_before_a_map_that_repeats_in_blocks_of_any_size(monkeypatch):
+    """Whether many rows come in at once, or one."""
+    module = importlib.import_module("skylamp.backends.numpy.horizon")
+    scene = sl.Scene(5 * np.random.default_rng(3).random((6, 7)), sides="periodic")
+    slopes = []
+    for rays in (2**18, 1000, 1):
+        monkeypatch.setattr(module, "WARM_UP", rays)
+        slopes.append(sl.horizons(sl.Scene(scene.depth, sides="periodic"), 5, backend="numpy"))
+    assert_bits_equal(slopes[1], slopes[0])
+    assert_bits_equal(slopes[2], slopes[0])

@@ -16,6 +16,7 @@ from surfaces import ALBEDO, SURFACES, rms
 import skylamp as sl
 from skylamp.backends import select
 from skylamp.inverse import search
+from skylamp.inverse.by_light import by_light
 from skylamp.inverse.confidence import confidence_of
 from skylamp.inverse.descent import Descent, Solution
 from skylamp.inverse.finer_model import refit_of
@@ -1130,7 +1131,7 @@ def test_what_is_said_of_several_images_does_not_depend_on_their_order(fast):
 @pytest.mark.parametrize("interreflection", [False, True])
 def test_progress_goes_up_to_its_end(fast, interreflection):
     steps = []
-    image = pair("bumps", "sky")[1]
+    image = pair("bumps", "sky")[1][:16, :16]
     sl.recover(
         image,
         sl.Sky(),
@@ -1145,3 +1146,74 @@ def test_progress_goes_up_to_its_end(fast, interreflection):
     assert list(done) == sorted(done) and done[-1] == counts[-1] and len(set(counts)) == 1
     with pytest.raises(sl.InputError, match="progress"):
         sl.recover(image, sl.Sky(), backend=fast, progress=3)
+
+
+@pytest.mark.parametrize(
+    ("make", "same"),
+    [
+        (lambda: sl.Sky(sl.cie_overcast()), True),
+        (lambda: sl.Sky(sl.uniform(2.0)), True),
+        (lambda: sl.Sky(sl.environment_map(np.linspace(1, 2, 32).reshape(4, 8))), True),
+        (lambda: sl.Window((2, 9), (2, 9), sl.cosine_power(3)), True),
+        (lambda: sl.Sky(lambda L: np.ones(L.shape[:-1])), False),
+        (lambda: sl.Sky(AlikeInAnArray()), False),
+    ],
+)
+def test_lights_that_are_made_alike_are_the_same(make, same):
+    """Equal arguments of the package's own brightnesses; functions of a user's are the same or not."""
+    images = [np.full((4, 4), 0.5)] * 3
+    merged = by_light(images, [make(), sl.Lamp((1, 1, -3), 1), make()])
+    assert merged.names == (
+        ["mean of images 1 and 3", "image 2"] if same else ["image 1", "image 2", "image 3"]
+    )
+    one = make()
+    assert len(by_light(images[:2], [one, one]).lights) == 1
+
+
+class AlikeInAnArray:
+    """A brightness whose comparison is an array, as that of a dataclass with an array may be."""
+
+    def __call__(self, L):
+        return np.ones(L.shape[:-1])
+
+    def __eq__(self, other):
+        return np.ones(3, bool)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("interreflection", [False, True])
+def test_doubt_of_relief_does_not_depend_on_the_time(fast, interreflection):
+    """Under an even sky without walls, where a search that was cut told a tenth of its std."""
+    y, x = np.mgrid[:24, :24] * (2 * np.pi / 24)
+    depth = 12 + 4 * np.sin(x) * np.sin(1.3 * y + 1) - 2 * np.cos(2 * x + y)
+    image = sl.render(sl.Scene(depth, albedo=0.5), sl.Sky(), interreflection=False, backend=fast).image
+    ask = functools.partial(
+        sl.recover, image, sl.Sky(), 0.5, layers=24, backend=fast, interreflection=interreflection
+    )
+    for seconds in (0.05, 0.3, None):
+        got = ask(max_seconds=seconds)
+        assert got.levels and np.ptp(got.depth) > 0.5
+        assert np.mean(got.std**2) > 2 * got.depth.std() ** 2
+        assert np.mean(np.abs(got.depth - depth) < 2 * got.std) > 0.95
+
+
+def test_a_search_without_time_is_in_the_middle(fast):
+    """Where all flat surfaces explain the image alike it has no reason to be elsewhere."""
+    image = np.random.default_rng(0).uniform(0.3, 0.5, (16, 16))
+    got = recover(image, sl.Sky(), 0.5, layers=24, backend=fast, max_seconds=1e-3)
+    np.testing.assert_allclose(got.depth, 12, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("brightness", "even"),
+    [(1.0, True), (sl.cie_overcast(), True), (sl.cosine_power(20, (0.5, 0.3, -0.8)), False)],
+)
+def test_even_light_is_told_from_directed_light(fast, brightness, even):
+    """Slight relief and its mirror image look alike under the first two."""
+    y, x = np.mgrid[:24, :24] * (2 * np.pi / 24)
+    image = 0.3 + 0.05 * np.sin(x) * np.sin(y + 1) + 0.02 * np.cos(2 * x + y)
+    sky = sl.Sky(brightness)
+    bounds = np.full(image.shape, 1e-3), np.full(image.shape, 24.0)
+    work = search.Search(Multigrid(Pyramid(select(fast), [image], [sky], 0.5, "open", *bounds)), False)
+    search.start_flat(work)
+    assert work.even == even and work.share == 0.5

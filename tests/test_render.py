@@ -488,6 +488,21 @@ def test_light_from_below_the_level_is_told(fast, how):
     assert any(text.startswith("Lamp below") for text in sl.plan(scene, lamp, backend=fast).beyond)
 
 
+def test_light_from_below_the_level_is_told_beyond_the_tolerance_alone(fast):
+    """Of the brightest colour, and by the plan from a tenth of the tolerance on."""
+    x, y = np.meshgrid(np.arange(24.0), np.arange(24.0))
+    scene = sl.Scene(10 - 3 * np.exp(-((x - 12) ** 2 + (y - 12) ** 2) / 30))
+    ask = functools.partial(sl.render, scene, interreflection=False, backend=fast)
+    downwards = lambda L: np.stack([L[..., 2] < -0.3, L[..., 2] <= 0, L[..., 2] < -0.3], -1).astype(float)
+    for brightness in (1.0, downwards):
+        lamp = sl.Lamp((3, 3, 8.5), 1.0, brightness=brightness)
+        told = [ask(lamp, tolerance=t).warnings for t in (0.01, 0.2)]
+        assert ["Lamp below" in " ".join(warnings) for warnings in told] == [True, False]
+    lamp = sl.Lamp((3, 3, 8.5), 1.0)
+    plans = [sl.plan(scene, lamp, tolerance=t, backend=fast).beyond for t in (0.2, 0.9)]
+    assert ["Lamp below" in " ".join(beyond) for beyond in plans] == [True, False]
+
+
 @pytest.mark.parametrize("name", ["above", "closed form", "window"])
 def test_light_from_the_viewers_side_is_all_there(fast, name):
     """No warning of light below the level: lamps above all ground, windows, closed forms that include it."""

@@ -189,12 +189,11 @@ def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
     ]
 
 
-def of_exposures(alike: list[int], ratio: float) -> str:
-    """Warning that images of one light, their places in the list, differ in brightness by this factor."""
-    named = " and ".join(str(n + 1) for n in alike)
+def of_exposures(numbers: str, ratio: float) -> str:
+    """Warning that the images of these numbers, of one light, differ in brightness by this factor."""
     return (
-        f"Exposure: images {named} are of the same light, and the brightest is {ratio:.3g} times as bright as"
-        " the darkest. Their mean is taken; divide them by their exposures."
+        f"Exposure: images {numbers} are of the same light, and the brightest is {ratio:.3g} times as bright"
+        " as the darkest. Their mean is taken; divide them by their exposures."
     )
 
 

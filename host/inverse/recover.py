@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from ..interreflection import check_choice
 from ..light.propagation import Progress
 from ..scene import Scene, check_spacing
 from . import diagnostics
+from .by_light import by_light
 from .carving import carved_layers
 from .confidence import UNTRUSTED, confidence_of, judgement_of
 from .finer_model import refit_of
@@ -43,9 +44,6 @@ MAPS = (  # fields of Recovery that are maps
 )
 # share of the residual of all light below which that of direct light alone is believed
 DIRECT_SHARE = 0.25
-# images of the same light whose means differ by more than this share were exposed differently; chosen: 1 %
-# of noise changes means of 32 x 32 pixels by 0.03 %
-SAME_EXPOSURE = 0.01
 LEAST_RESIDUAL = 1e-12  # that another is divided by
 
 
@@ -62,9 +60,10 @@ class Recovery:
     the depth itself, and other depths at which a pixel has its value while the surface goes up or down as a
     whole, nan where there is none; ambiguous (rows, cols) bool: there are such, and the confidence is below
     0.5; drilled (rows, cols) bool: columns that carving went through to the back; residual (rows, cols)
-    float32: model - image of the first image (0 for the paper's method); albedo (rows, cols) float32: that
-    which was found, None if it was given; levels: shape, residual and seconds of every grid; backend (its
-    name); seconds without compiling, compile_seconds; warnings; interreflection: whether the model of the
+    float32: model - image of the first image, or of the mean of those of its light (0 for the paper's
+    method); albedo (rows, cols) float32: that which was found, None if it was given; levels: shape, residual
+    and seconds of every grid, of direct light where the search was there by that alone; backend (its name);
+    seconds without compiling, compile_seconds; warnings; interreflection: whether the model of the
     images has light between surfaces. Arrays of an image that is an xarray.DataArray are some too.
     """
 
@@ -185,6 +184,7 @@ class _Given:
     scene: Scene
     albedo_given: bool
     layers: int
+    names: list[str]  # of the images, in messages
     warnings: list[str]
 
 
@@ -208,7 +208,8 @@ def _checked(
         raise bad("images of different shape", [picture.shape for picture in images], "one shape")
     for light in lights:
         _check_light(light)
-    images, lights, warnings = _by_light(images, lights)
+    merged = by_light(images, lights)
+    images, lights = merged.images, merged.lights
     if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or not 1 <= layers < MOST_LAYERS:
         raise bad("layers", repr(layers), f"a whole number from 1 to {MOST_LAYERS - 1}")
     if albedo is None and (len(images) == 1 or method != "robust"):
@@ -230,38 +231,9 @@ def _checked(
     if np.any(np.asarray(scene.albedo) <= 0):
         raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
     lights = [sources.on_axes(light, axes_of(labels)) for light in lights]
-    return _Given(images, lights, several, labels, scene, albedo is not None, int(layers), warnings)
-
-
-def _by_light(
-    images: list[np.ndarray], lights: list[sources.Source]
-) -> tuple[list[np.ndarray], list[sources.Source], list[str]]:
-    """An image for each light: images of the same light tell no more than one, and become their mean.
-
-    Brightnesses that are numbers may differ. With warnings where the images then differ by as much.
-    """
-    first: list[int] = []  # image of the same light
-    for n, light in enumerate(lights):
-        first.append(next((m for m in range(n) if _is_same(lights[m], light)), n))
-    merged, kept, warnings = list[np.ndarray](), list[sources.Source](), list[str]()
-    for m in sorted(set(first)):
-        alike = [n for n, other in enumerate(first) if other == m]
-        units = [float(images[n].mean()) / number_of(lights[n]) for n in alike]
-        if max(units) > (1 + SAME_EXPOSURE) * min(units):
-            warnings.append(diagnostics.of_exposures(alike, max(units) / min(units)))
-        merged.append(np.mean([images[n] for n in alike], axis=0) if alike[1:] else images[m])
-        number = float(np.mean([number_of(lights[n]) for n in alike]))
-        kept.append(lights[m] if callable(lights[m].brightness) else replace(lights[m], brightness=number))
-    return merged, kept, warnings
-
-
-def _is_same(one: sources.Source, other: sources.Source) -> bool:
-    """Whether two sources differ at most by a factor, as far as their fields tell."""
-    if type(one) is not type(other) or callable(one.brightness) != callable(other.brightness):
-        return False
-    names = [field.name for field in fields(one) if field.name != "brightness" or callable(one.brightness)]
-    pairs = [(getattr(one, name), getattr(other, name)) for name in names]
-    return all(a is b or not isinstance(a, np.ndarray) and a == b for a, b in pairs)
+    return _Given(
+        images, lights, several, labels, scene, albedo is not None, int(layers), merged.names, merged.warnings
+    )
 
 
 def _radiance(values: Any) -> np.ndarray:
@@ -397,6 +369,8 @@ def _recovered(
             left_out = diagnostics.of_unit(_usual_albedo(direct), False)
         if left_out:
             direct.warnings.extend(left_out)
+            if progress and not direct.was_cut:
+                progress(1, 1)
             return _recovery(given, limits, direct, spent, compiled)
     answer = _answer(given, limits, engine, _part(progress, 1, parts), spent, direct)
     if interreflection == "auto" and not answer.was_cut:
@@ -456,7 +430,7 @@ def _answer(
     direct light, if this one is to be with light between surfaces.
     """
     scene, was_cut = given.scene, True
-    levels = list[Level]() if direct is None else direct.levels.copy()
+    levels, reached = list[Level]() if direct is None else direct.levels.copy(), set[tuple[int, ...]]()
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
     warnings = diagnostics.of_images(
         given.images, lights, scene, float(limits.high.max()), given.albedo_given
@@ -468,8 +442,9 @@ def _answer(
 
     def report(level: Level) -> None:
         levels[:] = [other for other in levels if other.shape != level.shape] + [level]
+        reached.add(level.shape)
         if progress:
-            progress(min(len(levels), pyramid.start), pyramid.start + 1)
+            progress(min(len(reached), pyramid.start), pyramid.start + 1)
 
     pyramid.stop, pyramid.report = lambda: spent() > limits.seconds, report
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
@@ -501,7 +476,8 @@ def _recovery(
     depth_range = float((high - low).mean())
     if pyramid.interreflection and not given.albedo_given:
         answer.warnings.extend(diagnostics.of_unit(_usual_albedo(answer), True))
-    judged = judgement_of(search.multigrid, level, z, search.rivals, search.comparing, depth_range)
+    rivals = search.rivals_of(level, z)
+    judged = judgement_of(search.multigrid, level, z, rivals, search.comparing, depth_range)
     confidence = confidence_of(judged.std, depth_range)
     ambiguous = np.isfinite(judged.others).any(0) & (confidence < UNTRUSTED)
 
@@ -517,8 +493,7 @@ def _recovery(
         )
         levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), spent())]
     warnings = [*answer.warnings, *diagnostics.of_limits(z, low, high)]
-    for number, residual in enumerate(residuals, 1):
-        name = f"image {number}" if len(residuals) > 1 else "image"
+    for name, residual in zip(given.names if len(residuals) > 1 else ["image"], residuals):
         warnings += diagnostics.of_residual(pyramid, residual, name)
     warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
     warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given)

@@ -83,10 +83,11 @@ class Search:
         self.multigrid, self.pyramid, self.several, self.direct = multigrid, pyramid, several, direct
         self.comparing = 0 if pyramid.is_small(0) else pyramid.start
         self.level = max(self.comparing, pyramid.start - 1)
-        self.share, self.even = 0.5, False
+        self.share = 0.5
+        self.even: bool = direct is not None and direct.even
         self.begun = self.flat(self.share, pyramid.start), pyramid.start
         self.answers: list[Solution] = []
-        self.rivals: list[Rival] = []
+        self.rivals: list[Rival] = [] if direct is None else direct.rivals.copy()
 
     def run(self) -> None:
         """All stages. Leaves the answer, and what was best on the way, in ``pyramid.best``.
@@ -101,6 +102,17 @@ class Search:
         """Raises OutOfTime; the best surface so far may be of a coarser grid."""
         if self.pyramid.stop():
             raise OutOfTime
+
+    def rivals_of(self, level: int, z: np.ndarray) -> list[Rival]:
+        """The rivals of the answer z on grid ``level``, which may be that of a search that was cut short.
+
+        Where flat surfaces are stationary, many reliefs look alike: one as strong as the answer's that has
+        nothing in common with it is a rival too.
+        """
+        if not self.even:
+            return self.rivals
+        apart = math.sqrt(2) * float(z.std()) * 2.0 ** (level - self.comparing)
+        return [*self.rivals, Rival(np.full(self.pyramid.shape(self.comparing), apart), 1.0)]
 
     def flat(self, share: float, level: int) -> np.ndarray:
         """The flat surface at this share of the way between the bounds."""
@@ -119,7 +131,7 @@ def start_flat(search: Search) -> None:
         values.append(problem.value(search.flat(share, coarsest), 0))
         if pyramid.stop():
             break
-    if len(values) == FLATS and np.ptp(values) <= TIED * min(values):
+    if np.ptp(values) <= TIED * min(values):
         search.even = _is_even(search)
     else:
         search.share = float(shares[np.argmin(values)])
@@ -153,10 +165,12 @@ def start_relief(search: Search) -> None:
     """
     if not search.even:
         return
-    (flat, grid), dark, tried = search.begun, _darkness(search), []
+    (flat, grid), dark = search.begun, _darkness(search)
+    tried: list[tuple[Solution, np.ndarray]] = []
     for height in RELIEFS:
         start = np.clip(flat + height * dark, *search.pyramid.bounds[grid])
-        tried.append((search.multigrid.solve(start, grid, search.level, accept=False), start))
+        # the first is the answer so far
+        tried.append((search.multigrid.solve(start, grid, search.level, accept=not tried), start))
         search.check_time()
     tried.sort(key=lambda one: one[0].objective)
     search.answers, search.begun = [answer for answer, _ in tried], (tried[0][1], grid)
@@ -205,7 +219,7 @@ def start_direct(search: Search) -> None:
     if search.comparing < level:
         best = search.multigrid.refine(best.depth, level, search.comparing)
         best = _after_rounds(search, direct, search.comparing, best.depth, [best])
-    search.answers, search.level, search.rivals = [best], search.comparing, direct.rivals
+    search.answers, search.level = [best], search.comparing
 
 
 def _after_rounds(
@@ -310,15 +324,6 @@ def choose(search: Search) -> None:
     search.answers = [answer]
 
 
-def doubt_relief(search: Search) -> None:
-    """Where flat surfaces are stationary, many reliefs look alike: one as strong as the answer's that has
-    nothing in common with it is a rival.
-    """
-    if search.even:
-        z = search.answers[0].depth
-        search.rivals.append(Rival(np.full_like(z, math.sqrt(2) * z.std()), 1.0))
-
-
 def polish(search: Search) -> None:
     """Solves for the answer on its grid to the last accuracy."""
     search.answers = [search.multigrid.polish(search.level, search.answers[0].depth)]
@@ -340,7 +345,6 @@ STAGES: tuple[Callable[[Search], None], ...] = (
     compare,
     start_mirrored,
     choose,
-    doubt_relief,
     polish,
     refine,
 )

@@ -24,7 +24,9 @@ from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_quadrature, outlin
 SHIFT = 0.25
 RAYS = 4, 16, 64, 256, 1024  # to a small lamp, along which its brightness is taken
 SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
-RAYS_BELOW = 64  # of RAYS; with 16 and 256 the light from below the level changes by 2 and 0.5 % of itself
+# of RAYS; with 16 and 256 the light from below the level of a slope, a hill and a panel changes by up to 7
+# and 1 % of itself
+RAYS_BELOW = 64
 MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
 # share of a lamp's light that the ground takes from a node that is called partly hidden. Chosen: the light of
 # other nodes is at most so much of itself wrong, where a part that is not of mean brightness is hidden; with

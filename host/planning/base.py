@@ -271,7 +271,7 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
         touches = f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
         yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
     if isinstance(source, sources.Lamp) and source.volume is None and not planner.closed:
-        if lost := left_below(scene, source, planner.engine):
+        if (lost := left_below(scene, source, planner.engine)) > ROUNDED_SHARE * planner.tolerance:
             yield lamp_below(lost)
     if samples.cliffs > 0:
         yield (
