@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import skylamp as sl
-from skylamp import io, plot
+from skylamp import io
+from skylamp.app import plot
 
 OUT = Path(__file__).resolve().parent / "wide.png"
 

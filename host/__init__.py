@@ -22,7 +22,7 @@ from .sources.over_time import SkyOverTime, sky_over_time
 from .sources.shapes import Lamp, Sky, Window
 from .visibility import View, VisibilityField, visibility, visibility_field
 
-_LAZY = {"geo": "skylamp.io.geotiff", "plot": "skylamp.app.plot"}  # they need optional libraries
+_LAZY = {"geo": "skylamp.geo", "plot": "skylamp.plot"}  # they need optional libraries
 
 
 def __getattr__(name: str) -> ModuleType:

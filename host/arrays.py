@@ -37,10 +37,12 @@ class Quantity(NamedTuple):
     long_name: str
 
 
+# attributes of a map that name values which stand for no data: CF conventions, GDAL, old xarray.open_rasterio
+NO_DATA = "_FillValue", "missing_value", "nodata", "nodatavals"
 # attributes of a map that describe its values, and so not those of a result (CF conventions, GDAL)
 OF_VALUES = (
-    "units", "long_name", "standard_name", "description", "_FillValue", "missing_value", "scale_factor",
-    "add_offset", "valid_min", "valid_max", "valid_range", "actual_range", "cell_methods",
+    *NO_DATA, "units", "long_name", "standard_name", "description", "scale_factor", "add_offset", "valid_min",
+    "valid_max", "valid_range", "actual_range", "cell_methods",
 )  # fmt: skip
 ON_CUDA = 2, 13  # DLPack's kDLCUDA and kDLCUDAManaged
 # elements that a thread takes at a time: 4 MiB of float32, some 0.2 ms; chosen: with a
@@ -172,8 +174,10 @@ def labels_of(values: Any) -> Labels | None:
     if kind is None or not isinstance(values, kind):
         return None
     coords = {name: coordinate.copy() for name, coordinate in values.coords.items()}
-    grid_mapping = values.encoding.get("grid_mapping")
-    return Labels(values.dims, coords, values.name, dict(values.attrs), grid_mapping)
+    attributes, grid_mapping = dict(values.attrs), values.encoding.get("grid_mapping")
+    if "rioxarray" in sys.modules and (no_data := values.rio.nodata) is not None:
+        attributes.setdefault("nodata", no_data)  # which rio.set_nodata keeps apart
+    return Labels(values.dims, coords, values.name, attributes, grid_mapping)
 
 
 def no_data_of(labels: Labels | None) -> list[float]:
@@ -191,7 +195,7 @@ def no_data_of(labels: Labels | None) -> list[float]:
             "heights",
             "Open it with mask_and_scale=True; where they are heights already, remove these attributes.",
         )
-    told = [np.ravel(labels.attrs.get(name, ())) for name in ("_FillValue", "missing_value")]
+    told = [np.ravel(labels.attrs.get(name, ())) for name in NO_DATA]
     numbers = [float(value) for values in told if values.dtype.kind in "iuf" for value in values]
     return [number for number in numbers if not math.isnan(number)]
 

@@ -51,10 +51,10 @@ class Scene:
     copied; the caller's are never changed. A depth (or height) that is an xarray.DataArray is kept as
     ``labels``, and images, horizons and depths of the scene are DataArrays: with its dimensions, coordinates
     and other attributes, and a name and units of their own. Values that are not finite, or that its
-    attributes ``_FillValue`` and ``missing_value`` name, are masked besides what ``mask`` leaves out. Where
-    its y grows with the rows, or its x falls along them, skies and the azimuths of horizons are turned to it:
-    north is where y grows, east where x does. Positions of lamps and windows are measured along columns and
-    rows.
+    attributes ``_FillValue``, ``missing_value``, ``nodata`` and ``nodatavals`` or rioxarray's ``rio.nodata``
+    name, are masked besides what ``mask`` leaves out. Where its y grows with the rows, or its x falls along
+    them, skies and the azimuths of horizons are turned to it: north is where y grows, east where x does.
+    Positions of lamps and windows are measured along columns and rows.
 
     A contiguous float32 depth or height that lies on a GPU stays there, on that device's backend, which
     ``auto`` takes then; a mask is uploaded once. Of other types, and on other backends, the

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import importlib
 import subprocess
 import sys
 
@@ -788,3 +789,29 @@ def test_no_room_is_filled_again_before_its_transfer_is_over():
     rooms = [np.zeros(staging.ROOM, np.uint8) for _ in range(staging.ROOMS)]
     staging.Staging(rooms, copy).upload(values, there)
     np.testing.assert_array_equal(there, values)
+
+
+@pytest.mark.parametrize("attribute", ["_FillValue", "missing_value", "nodata", "nodatavals", "rio"])
+def test_every_name_of_no_data_masks(attribute):
+    """Those of CF, GDAL and xarray.open_rasterio, and what rioxarray keeps beside the attributes."""
+    xarray = pytest.importorskip("xarray")
+    heights = np.arange(20, dtype=np.int16).reshape(4, 5)
+    heights[1, 2] = -32768
+    given = xarray.DataArray(heights, dims=("y", "x"))
+    if attribute == "rio":
+        pytest.importorskip("rioxarray")
+        given = given.rio.set_nodata(-32768)
+    else:
+        given.attrs[attribute] = (-32768,) if attribute == "nodatavals" else -32768
+    scene = sl.Scene.from_height(given)
+    assert scene.mask is not None and not scene.mask[1, 2] and scene.mask.sum() == 19
+    result = sl.sky_view_factor(scene, backend="numpy")
+    assert np.isnan(result[1, 2]) and not set(result.attrs) & {"nodata", "nodatavals", "_FillValue"}
+
+
+def test_modules_with_optional_libraries_can_be_imported():
+    """As ``import skylamp.geo`` and ``from skylamp import geo``: the same functions."""
+    for name, function in (("geo", "read"), ("plot", "save")):
+        module = importlib.import_module(f"skylamp.{name}")
+        assert getattr(module, function) is getattr(getattr(sl, name), function)
+        assert all(hasattr(module, public) for public in module.__all__)

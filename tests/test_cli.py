@@ -884,3 +884,11 @@ def test_render_writes_the_error(here, capsys):
         "numpy",
         says="f.exe",
     )
+
+
+def test_plan_takes_the_sources_of_render(capsys, tmp_path):
+    """A clear sky with its sun, which has azimuths of its own."""
+    io.write(tmp_path / "a.npy", np.random.default_rng(0).random((16, 16)) + 1)
+    sky = ("--source", "clear", "--sun", "135,30", "--direct", "3", "--json")
+    code, out, _ = run(capsys, "plan", str(tmp_path / "a.npy"), *sky)
+    assert code == 0 and "bright parts" in {choice["what"] for choice in json.loads(out)["choices"]}

@@ -227,6 +227,7 @@ def plan(
     lamp: opt.Lamp = None,
     window: opt.Window = None,
     sun: opt.Sun = None,
+    direct: opt.Direct = 0.0,
     sides: opt.Sides = "open",
     tolerance: opt.Tolerance = "1%",
     tail: opt.Tail = None,
@@ -239,7 +240,7 @@ def plan(
     """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
     surface = parsing.reflectance(albedo, specular, exponent)
     scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
-    light = parsing.source(source, lamp, window, sun)
+    light = parsing.source(source, lamp, window, sun, direct)
     parsing.check_place(light, raster)
     with output.progress_bar("planning"):
         made = sl.plan(

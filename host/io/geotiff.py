@@ -35,8 +35,9 @@ class Raster:
     """A GeoTIFF's one band and where on Earth it lies.
 
     values (rows, cols), in the file's own type; mask (rows, cols) bool, True where there are data; spacing:
-    side of a cell in the unit of the values (metres, unless the band is in feet); crs and transform as
-    rasterio has them; nodata, the file's value or None; point: the transform is that of cells' centres.
+    side of a cell in the unit of the values (metres, unless the band is in feet); crs and transform, of the
+    cells' corners, as rasterio has them; nodata, the file's value or None; point: whether the file calls its
+    values those of points, AREA_OR_POINT.
     """
 
     values: np.ndarray
