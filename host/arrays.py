@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import math
@@ -175,8 +176,10 @@ def labels_of(values: Any) -> Labels | None:
         return None
     coords = {name: coordinate.copy() for name, coordinate in values.coords.items()}
     attributes, grid_mapping = dict(values.attrs), values.encoding.get("grid_mapping")
-    if "rioxarray" in sys.modules and (no_data := values.rio.nodata) is not None:
-        attributes.setdefault("nodata", no_data)  # which rio.set_nodata keeps apart
+    if "rioxarray" in sys.modules:
+        with contextlib.suppress(OverflowError):  # a value that the type cannot hold
+            if (no_data := values.rio.nodata) is not None:  # rio.set_nodata keeps it apart
+                attributes.setdefault("nodata", no_data)
     return Labels(values.dims, coords, values.name, attributes, grid_mapping)
 
 

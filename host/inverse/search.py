@@ -145,8 +145,8 @@ def _is_even(search: Search) -> bool:
     problem, flat = search.pyramid.problem(search.pyramid.start), search.begun[0]
     relief = SLIGHT * _darkness(search)
     up, level, down = (problem.irradiances(flat + part) for part in (-relief, 0 * relief, relief))
-    odd = sum(float(np.var(u - d)) for u, d in zip(up, down))
-    even = sum(float(np.var(u - 2 * f + d)) for u, f, d in zip(up, level, down))
+    odd = sum(float(np.var(u - d, dtype=np.float64)) for u, d in zip(up, down))
+    even = sum(float(np.var(u - 2 * f + d, dtype=np.float64)) for u, f, d in zip(up, level, down))
     return even > EVEN**2 * odd
 
 
