@@ -1096,6 +1096,7 @@ def test_the_answer_that_auto_does_not_take_is_a_rival(fast):
     assert np.mean(np.abs(got.depth - depth) < 2 * got.std) > 0.95
 
 
+@pytest.mark.slow
 def test_images_of_one_light_count_as_one(fast):
     """Two copies tell no more than one image, of brightness 1 and 3 together no more than of their mean."""
     image, ask = pair("bumps", "lamp")[1][:16, :16], functools.partial(recover, layers=LAYERS, backend=fast)

@@ -488,6 +488,7 @@ def test_light_from_below_the_level_is_told(fast, how):
     assert any(text.startswith("Lamp below") for text in sl.plan(scene, lamp, backend=fast).beyond)
 
 
+@pytest.mark.slow
 def test_light_from_below_the_level_is_told_beyond_the_tolerance_alone(fast):
     """Of the brightest colour, and by the plan from a tenth of the tolerance on."""
     x, y = np.meshgrid(np.arange(24.0), np.arange(24.0))
