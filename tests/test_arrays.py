@@ -5,6 +5,7 @@ import gc
 import importlib
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -815,3 +816,19 @@ def test_modules_with_optional_libraries_can_be_imported():
         module = importlib.import_module(f"skylamp.{name}")
         assert getattr(module, function) is getattr(getattr(sl, name), function)
         assert all(hasattr(module, public) for public in module.__all__)
+
+
+def test_coordinates_that_may_be_degrees_are_told():
+    """Without a unit, a name or a system that says so, by relief 100 times as high as the map is wide."""
+    xarray = pytest.importorskip("xarray")
+    heights = 200 * np.random.default_rng(0).random((8, 9))
+    for step, told in ((1 / 3600, True), (30.0, False)):
+        places = {"y": 46 - step * np.arange(8), "x": 8 + step * np.arange(9)}
+        given = xarray.DataArray(heights, places, ("y", "x"), attrs={"units": "m"})
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            sl.Scene.from_height(given)
+        assert any("If these are degrees" in str(w.message) for w in caught) == told
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            sl.Scene.from_height(given, 30.0)
