@@ -1063,18 +1063,26 @@ def test_an_even_image_without_walls_is_flat_in_the_middle(fast):
 
 @pytest.mark.slow
 def test_auto_believes_direct_light_by_the_finer_model(fast):
-    """By the grid's own model, whose error hides the difference, it took these images for all light, 0.7 to
-    0.9 nodes off.
+    """By the grid's own model, whose error hides the difference, it took these images for all light, a node
+    off.
     """
-    y, x = np.mgrid[:24, :24] * (2 * np.pi / 24)
-    depth, sky, lamp = 12 + 3 * np.cos(x + 0.5) * np.cos(0.7 * y), sl.Sky(), sl.Lamp((12, 8, -8), 4)
+    depth, sky, lamp = _waves(80), sl.Sky(), sl.Lamp((16, 10, -10), 5)
     scene = sl.Scene(depth, albedo=0.8, sides="dark")
-    images = [
-        sl.render(scene, s, interreflection=False, tolerance=0.002, backend=fast).image for s in (sky, lamp)
-    ]
-    for some, lights in ((images[:1], [sky]), (images, [sky, lamp])):
-        got = sl.recover(some, lights, 0.8, "dark", layers=24, backend=fast)
-        assert not got.interreflection and rms(got.depth - depth) < 0.05
+    render = functools.partial(sl.render, scene, interreflection=False, tolerance=0.002, backend=fast)
+    images = [render(light).image for light in (sky, lamp)]
+    got = sl.recover(images, [sky, lamp], 0.8, "dark", layers=24, backend=fast)
+    assert not got.interreflection and rms(got.depth - depth) < 0.05
+
+
+def _waves(seed):
+    """A surface of 32 x 32 nodes, 10 deep, of five random waves."""
+    y, x = np.mgrid[:32, :32]
+    rng, depth = np.random.default_rng(seed), np.zeros((32, 32))
+    for _ in range(5):
+        length, angle, phase = rng.uniform(0.06, 0.32), rng.uniform(0, 2 * np.pi), rng.uniform(0, 6.3)
+        depth += rng.normal() * np.cos(length * (x * np.cos(angle) + y * np.sin(angle)) + phase)
+    depth -= depth.mean()
+    return 12 + 5 * depth / np.abs(depth).max()
 
 
 @pytest.mark.slow
@@ -1083,12 +1091,7 @@ def test_the_answer_that_auto_does_not_take_is_a_rival(fast):
 
     Without the rival no true depth is within 3 std.
     """
-    y, x = np.mgrid[:32, :32]
-    rng, depth = np.random.default_rng(83), np.zeros((32, 32))
-    for _ in range(5):
-        length, angle, phase = rng.uniform(0.06, 0.32), rng.uniform(0, 2 * np.pi), rng.uniform(0, 6.3)
-        depth += rng.normal() * np.cos(length * (x * np.cos(angle) + y * np.sin(angle)) + phase)
-    depth = 12 + 5 * (depth - depth.mean()) / np.abs(depth - depth.mean()).max()
+    depth = _waves(83)
     scene = sl.Scene(depth, albedo=0.8, sides="dark")
     image = sl.render(scene, sl.Sky(), interreflection=False, tolerance=0.002, backend=fast).image
     got = sl.recover(image, sl.Sky(), 0.8, "dark", layers=24, backend=fast)
@@ -1218,3 +1221,26 @@ def test_even_light_is_told_from_directed_light(fast, brightness, even):
     work = search.Search(Multigrid(Pyramid(select(fast), [image], [sky], 0.5, "open", *bounds)), False)
     search.start_flat(work)
     assert work.even == even and work.share == 0.5
+
+
+@pytest.mark.slow
+def test_a_bowl_with_light_between_surfaces_is_not_taken_for_direct_light(fast):
+    """Direct light explains its image as well as a model can, by a surface 1.8 nodes off."""
+    y, x = np.mgrid[:28, :28] - 14.0
+    depth = 3 + 8 * np.clip(1 - (x**2 + y**2) / (0.42 * 28) ** 2, 0, None)
+    sky = sl.Sky(sl.cie_clear((120, 8), zenith=1.0))
+    scene = sl.Scene(depth, albedo=0.8, sides="dark")
+    image = sl.render(scene, sky, interreflection=True, tolerance=0.002, backend=fast).image
+    got = sl.recover(image, sky, 0.8, "dark", layers=17, backend=fast)
+    assert got.interreflection and rms(got.depth - depth) < 0.1
+
+
+def test_a_wide_bound_does_not_hide_the_surface(fast):
+    """Flat surfaces that are compared lie 12,500 nodes apart, and the surface is 8 deep at most."""
+    y, x = np.mgrid[-8:8, -8:8]
+    depth = 4 + np.hypot(x, y) / 4
+    image = sl.render(
+        sl.Scene(depth, albedo=0.5, sides="dark"), sl.Sky(), interreflection=False, backend=fast
+    ).image
+    for far in (1e6, 1e9):
+        assert rms(recover(image, sl.Sky(), 0.5, "dark", far=far, backend=fast).depth - depth) < 0.1

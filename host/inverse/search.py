@@ -22,7 +22,7 @@ import numpy as np
 
 from .descent import Solution, bounced
 from .multigrid import FROM_COARSER, Multigrid
-from .pyramid import SMALL, on_coarser_grid, without
+from .pyramid import SMALL, Pyramid, on_coarser_grid, without
 from .resampling import blurred, halved_depth
 
 FLATS = 40  # flat surfaces between the bounds that are compared
@@ -126,7 +126,7 @@ def start_flat(search: Search) -> None:
     if all explain them alike, as they do under skies unless the sides are dark.
     """
     pyramid, coarsest = search.pyramid, search.pyramid.coarsest
-    problem, shares, values = pyramid.problem(coarsest), (np.arange(FLATS) + 0.5) / FLATS, list[float]()
+    problem, shares, values = pyramid.problem(coarsest), _shares(pyramid), list[float]()
     for share in shares:
         values.append(problem.value(search.flat(share, coarsest), 0))
         if pyramid.stop():
@@ -138,6 +138,17 @@ def start_flat(search: Search) -> None:
     search.begun = search.flat(search.share, pyramid.start), pyramid.start
     if not search.even:
         search.answers = [search.multigrid.solve(*search.begun, search.level)]
+
+
+def _shares(pyramid: Pyramid) -> np.ndarray:
+    """Of the way between the bounds, where flat surfaces are compared: evenly, and, where these lie deeper
+    than the image is wide, as many above them at even ratios.
+    """
+    (low, high), even = pyramid.bounds[0], (np.arange(FLATS) + 0.5) / FLATS
+    wide, deep = max(pyramid.shape(0)), float(np.mean(high - low))
+    if even[0] * deep <= wide:
+        return even
+    return np.concatenate([np.geomspace(wide / (2 * FLATS * deep), even[0], FLATS, endpoint=False), even])
 
 
 def _is_even(search: Search) -> bool:
