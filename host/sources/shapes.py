@@ -86,6 +86,9 @@ class Lamp:
     (z < 0: behind the viewer's plane); or a rectangle that shines to both sides, ``corner`` = (x, y, z) and
     ``edges``, two vectors at right angles from it; or any shape, ``volume`` (layers,
     rows, cols) bool on the lattice, True where the node (layer, row, col) shines.
+
+    Directions towards a source are level or go upwards. Ground that is higher than a part of the lamp sees it
+    below its level; :func:`render` leaves that light out, with a warning that says how much it is.
     """
 
     center: tuple[float, float, float] | None = None
