@@ -36,6 +36,9 @@ SLIGHT, EVEN = 0.05, 0.6
 # mean correlation with 24 surfaces of 32 x 32, sides open, is 0.66, and 0.69 with 24 others; with half of
 # these 0.49 and 0.72, with twice 0.64 and 0.73, with 0.25 alone 0.42
 RELIEFS = 0.5, 2.0, -1.0
+LEAST_CONTRAST = (
+    1e-6  # standard deviation [unit of the pyramid's images] below which float32 makes an image even
+)
 LOST = 100.0  # times the objective of a good surface: above it strong relief is looked for
 FOUND = 16.0  # times the objective of a good surface: below it that search ends
 # depths of the flat surfaces that the search for strong relief starts from, as shares of that of the best
@@ -163,10 +166,10 @@ def _is_even(search: Search) -> bool:
 
 def _darkness(search: Search) -> np.ndarray:
     """How dark the images are, where the search begins: mean 0, standard deviation 1, or 0 of even images."""
-    images = search.pyramid.images[search.pyramid.start]
-    dark: np.ndarray = -np.sum([image / max(float(image.std()), 1e-12) for image in images], axis=0)
-    dark -= dark.mean()
-    dark /= max(float(dark.std()), 1e-12)
+    dark = np.zeros(search.pyramid.shape(search.pyramid.start))
+    for image in search.pyramid.images[search.pyramid.start]:
+        dark -= (image - image.mean()) / max(float(image.std()), LEAST_CONTRAST)
+    dark /= max(float(dark.std()), LEAST_CONTRAST)
     return dark
 
 
