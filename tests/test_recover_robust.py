@@ -1148,6 +1148,13 @@ def test_progress_goes_up_to_its_end(fast, interreflection):
     )
     done, counts = zip(*steps)
     assert list(done) == sorted(done) and done[-1] == counts[-1] and len(set(counts)) == 1
+    lamps, steps[:] = [sl.Lamp((8, 8, -8), 4), sl.Lamp((2, 13, -5), 3)], []
+    if not interreflection:  # "auto" leaves the second half out where the unit is not that of the lamps
+        sl.recover(
+            [100 * image, 90 * image], lamps, None, "dark", layers=8, backend=fast,
+            progress=lambda *step: steps.append(step),
+        )  # fmt: skip
+        assert steps[-1][0] == steps[-1][1] and len({count for _, count in steps}) == 1
     with pytest.raises(sl.InputError, match="progress"):
         sl.recover(image, sl.Sky(), backend=fast, progress=3)
 

@@ -36,15 +36,20 @@ def by_light(images: list[np.ndarray], lights: list[sources.Source]) -> Merged:
     merged = Merged([], [], [], [])
     for m in sorted(set(first)):
         alike = [n for n, other in enumerate(first) if other == m]
-        listed = f"{', '.join(str(n + 1) for n in alike[:-1])} and {alike[-1] + 1}"
-        units = [float(images[n].mean()) / number_of(lights[n]) for n in alike]
-        if max(units) > (1 + SAME_EXPOSURE) * min(units):
-            merged.warnings.append(diagnostics.of_exposures(listed, max(units) / min(units)))
-        merged.images.append(np.mean([images[n] for n in alike], axis=0) if alike[1:] else images[m])
-        merged.names.append(f"mean of images {listed}" if alike[1:] else f"image {m + 1}")
-        number = float(np.mean([number_of(lights[n]) for n in alike]))
-        varies = callable(lights[m].brightness)
-        merged.lights.append(lights[m] if varies else replace(lights[m], brightness=number))
+        if len(alike) == 1:
+            image, light, name = images[m], lights[m], f"image {m + 1}"
+        else:
+            listed = f"{', '.join(str(n + 1) for n in alike[:-1])} and {alike[-1] + 1}"
+            image, light = np.mean([images[n] for n in alike], axis=0), lights[m]
+            name = f"mean of images {listed}"
+            units = [float(images[n].mean()) / number_of(lights[n]) for n in alike]
+            if max(units) > (1 + SAME_EXPOSURE) * min(units):
+                merged.warnings.append(diagnostics.of_exposures(listed, max(units) / min(units)))
+            if not callable(light.brightness):
+                light = replace(light, brightness=float(np.mean([number_of(lights[n]) for n in alike])))
+        merged.images.append(image)
+        merged.lights.append(light)
+        merged.names.append(name)
     return merged
 
 

@@ -295,10 +295,7 @@ def misfits_of_shifts(pyramid: Pyramid, level: int, z: np.ndarray) -> tuple[np.n
     """Light of every pixel as its surface goes up and down as a whole: shifts (SHIFTS,) [nodes of the finest
     grid] and model - image (images, SHIFTS, rows, cols).
     """
-    problem, (low, high) = pyramid.problem(level), pyramid.bounds[level]
-    shifts, images = (
-        np.linspace(float((low - z).min()), float((high - z).max()), SHIFTS),
-        pyramid.images[level],
-    )
+    problem, images, (low, high) = pyramid.problem(level), pyramid.images[level], pyramid.bounds[level]
+    shifts = np.linspace(float((low - z).min()), float((high - z).max()), SHIFTS)
     misfits = [np.stack(problem.irradiances(np.maximum(z + shift, NEAREST))) - images for shift in shifts]
     return shifts * 2**level, np.stack(misfits, axis=1)

@@ -162,17 +162,18 @@ def recover(
             limits = _limits(near, far, max_seconds, given)
             recovery = _recovered(given, limits, engine, progress, interreflection)
         return _labelled(recovery, given.labels)
-    _check_carving(
-        near=near, far=far, lists=given.several or None, interreflection=interreflection is True or None
-    )
+    _check_carving(given.several, near, far, interreflection)
     with within(max_seconds, "recover", engine):
         return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
 
 
-def _check_carving(**given: Any) -> None:
-    """Refuses what method "paper" cannot use, where it is given."""
-    if used := [name for name, value in given.items() if value is not None]:
-        raise bad("method 'paper' with", ", ".join(used), "one image and one source", "Use method='robust'.")
+def _check_carving(several: bool, near: Any, far: Any, interreflection: bool | str) -> None:
+    """InputError for arguments that method "paper" cannot use."""
+    given = {"lists of images": several, "near": near is not None, "far": far is not None}
+    given["interreflection=True"] = interreflection is True
+    if any(given.values()):
+        got = ", ".join(name for name, is_given in given.items() if is_given)
+        raise bad("method 'paper'", got, "one image and one source", "Use method='robust'.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,8 +374,8 @@ def _recovered(
             left_out = diagnostics.of_unit(_usual_albedo(direct), False)
         if left_out:
             direct.warnings.extend(left_out)
-            if progress and not direct.was_cut:
-                progress(1, 1)
+            if (rest := _part(progress, 1, parts)) and not direct.was_cut:  # there is no second part
+                rest(direct.search.pyramid.start + 1, direct.search.pyramid.start + 1)
             return _recovery(given, limits, direct, spent, compiled)
     answer = _answer(given, limits, engine, _part(progress, 1, parts), spent, direct)
     if interreflection == "auto" and not answer.was_cut:

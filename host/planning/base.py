@@ -55,9 +55,9 @@ SAMPLED_AZIMUTHS = 512
 # along the chords of lamps and windows, where 5e-6 to 3e-4 of the mean were measured
 # (performance/refinement.py)
 TABLES_ERROR = 1e-4
-# rounding of depths [spacing], over the tolerance, from which on a plan says so; chosen: by as much the slope
-# between neighbours is wrong, a tenth of the error that was asked for
-ROUNDED_SHARE = 0.1
+# of the tolerance, from which on a plan notes the rounding of depths [spacing], and light from below the
+# level. Chosen: by as much as depths are rounded slopes are wrong, a tenth of what was asked for
+NOTED_SHARE = 0.1
 # rows and columns of nodes, at most, whose distance from a lamp is looked at; chosen
 GAP_NODES = 512
 
@@ -271,7 +271,7 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
         touches = f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
         yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
     if isinstance(source, sources.Lamp) and source.volume is None and not planner.closed:
-        if (lost := left_below(scene, source, planner.engine)) > ROUNDED_SHARE * planner.tolerance:
+        if (lost := left_below(scene, source, planner.engine)) > NOTED_SHARE * planner.tolerance:
             yield lamp_below(lost)
     if samples.cliffs > 0:
         yield (
@@ -283,7 +283,7 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
             f"Nodata: {percent(1 - scene.mask.mean())} of the nodes are masked; they hide nothing, so"
             " light may come through holes."
         )
-    if _rounding(samples) > ROUNDED_SHARE * planner.tolerance:
+    if _rounding(samples) > NOTED_SHARE * planner.tolerance:
         yield (
             f"float32 rounds depths by {_rounding(samples):.2g} spacings, more than the tolerance allows:"
             " subtract the least depth."
