@@ -176,10 +176,11 @@ def labels_of(values: Any) -> Labels | None:
         return None
     coords = {name: coordinate.copy() for name, coordinate in values.coords.items()}
     attributes, grid_mapping = dict(values.attrs), values.encoding.get("grid_mapping")
-    if "rioxarray" in sys.modules:
-        with contextlib.suppress(OverflowError):  # a value that the type cannot hold
-            if (no_data := values.rio.nodata) is not None:  # rio.set_nodata keeps it apart
-                attributes.setdefault("nodata", no_data)
+    if "rioxarray" in sys.modules and not attributes.keys() & set(NO_DATA):
+        # what rio.set_nodata keeps apart; rioxarray raises where the type of the map cannot hold it
+        with contextlib.suppress(OverflowError, TypeError, ValueError):
+            if (no_data := values.rio.nodata) is not None:
+                attributes["nodata"] = no_data
     return Labels(values.dims, coords, values.name, attributes, grid_mapping)
 
 
