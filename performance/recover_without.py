@@ -34,7 +34,15 @@ import surfaces
 from surfaces import ALBEDO, LAYERS, OTHERS, SURFACES, pair, rms, source_of
 
 import skylamp as sl
-from skylamp.inverse import confidence, conjugate_gradients, lights, multigrid, pyramid, search
+from skylamp.inverse import (
+    confidence,
+    conjugate_gradients,
+    finer_model,
+    lights,
+    multigrid,
+    pyramid,
+    search,
+)
 from skylamp.inverse.conjugate_gradients import ConjugateGradients
 from skylamp.inverse.descent import Solution
 from skylamp.inverse.multigrid import Multigrid
@@ -164,7 +172,7 @@ INGREDIENTS = {
     "noise": Ingredient([(pyramid, "noise_of", lambda image: 0.0)], DEPTH, is_noisy),
     "prior of the coarser grid": Ingredient([(Pyramid, "set_prior", NOTHING)], DEPTH, is_noisy),
     "cubic interpolation": Ingredient(
-        [(module, "cubic", _linear) for module in (pyramid, multigrid, confidence)]
+        [(module, "cubic", _linear) for module in (pyramid, multigrid, finer_model)]
     ),
     "azimuths of equal light": Ingredient(
         [(lights.sources, "azimuth_profile", NOTHING)], DEPTH, lambda case: case.endswith("sun")
@@ -180,7 +188,8 @@ INGREDIENTS = {
     "rivals": Ingredient([without_doubt(confidence.by_rivals)], CONFIDENCE),
     "posterior deviation": Ingredient([without_doubt(confidence.by_noise)], CONFIDENCE),
     "finer model": Ingredient([without_doubt(confidence.by_finer_model)], CONFIDENCE),
-    "second refit": Ingredient([(confidence, "REFITS", 1)], CONFIDENCE),
+    "creases": Ingredient([without_doubt(confidence.by_creases)], CONFIDENCE),
+    "second refit": Ingredient([(finer_model, "REFITS", 1)], CONFIDENCE),
     "even albedo": Ingredient(
         [(confidence, "even_albedo_depth", lambda pyramid, level, z: z)], CONFIDENCE, has_no_albedo
     ),
@@ -239,11 +248,6 @@ NAMES = [
 ]
 
 
-def _no_deviation(solved: Multigrid, level: int, z: np.ndarray, *rest: Any) -> tuple:
-    shape = solved.pyramid.shape(0)
-    return np.ones(shape), np.full((1, *shape), np.nan)
-
-
 def figures(case: Case, depth: np.ndarray, sure: np.ndarray) -> dict[str, float]:
     """RMSE [nodes]; the mean squared difference between confidence and whether a pixel is within the depth
     that is worth half of it (Brier's score); of the pixels that are FAR off, the share that is trusted; RMSE
@@ -284,19 +288,19 @@ def run(case: Case, backend: str) -> sl.Recovery:
 def run_with_all(name: str, backend: str) -> dict[str, dict]:
     """By ingredient: figures with all, and without each ingredient of confidence."""
     case, sure = case_of(name), {}
-    own = recover.deviation_of
+    own = recover.judgement_of
 
-    def several_deviations(solved: Multigrid, *rest: Any) -> tuple[np.ndarray, np.ndarray]:
+    def several_judgements(solved: Multigrid, *rest: Any) -> confidence.Judgement:
         for key, ingredient in INGREDIENTS.items():
             if ingredient.effect == CONFIDENCE and ingredient.concerns(name):
                 pyramid, clone = copy.copy(solved.pyramid), copy.copy(solved)
                 pyramid.problems, pyramid.albedo = dict(pyramid.problems), list(pyramid.albedo)
                 clone.pyramid = pyramid
                 with without(ingredient.patches):
-                    sure[key] = confidence.confidence_of(own(clone, *rest)[0], rest[-1])
+                    sure[key] = confidence.confidence_of(own(clone, *rest).std, rest[-1])
         return own(solved, *rest)
 
-    with without([(recover, "deviation_of", several_deviations)]):
+    with without([(recover, "judgement_of", several_judgements)]):
         found = run(case, backend)
     sure[ALL] = found.confidence
     return {key: figures(case, found.depth, each) for key, each in sure.items()}
@@ -324,7 +328,7 @@ def measure(names: list[str], backend: str, path: Path) -> dict[str, dict[str, d
                 continue
             patches = list(ingredient.patches)
             if ingredient.effect == DEPTH:
-                patches.append((recover, "deviation_of", _no_deviation))
+                patches.append((confidence, "PARTS", ()))  # the standard deviation is not asked for
             known = case_of(case)  # its images are made with everything on
             with without(patches):
                 found = run(known, backend)

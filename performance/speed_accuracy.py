@@ -72,7 +72,7 @@ def peers_rows(python: str, size: int) -> list[dict]:
         )  # some mirror the map at its border
         azimuths = sl.Azimuths(720).angles
         cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
-        level = pilots.slopes(engine, cosine, sine, np.zeros((720, len(pilots))))
+        level = pilots.slopes(cosine, sine, np.zeros((720, len(pilots))))
         truth = {"tilted": exact / np.pi, "solid_angle": 1 - np.mean(level / np.sqrt(1 + level**2), 0)}
         with tempfile.NamedTemporaryFile(suffix=".npz") as file:
             np.savez(

@@ -34,8 +34,8 @@ def error_of(rng, size, engine):
         return None
     scene = sl.Scene.from_height(z.astype(np.float32), 1.0)
     swept, exact = (
-        Horizons(engine, scene, sky, AZIMUTHS, SECTORS, None, parts).irradiance()
-        for parts in ((), sky.bright_parts)
+        Horizons(engine, scene, sky, AZIMUTHS, SECTORS, exact_parts=exactly).irradiance()
+        for exactly in (False, True)
     )
     return what, elevation, radius, np.sqrt(np.mean((swept - exact) ** 2)) / exact.mean()
 

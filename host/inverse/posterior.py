@@ -48,10 +48,26 @@ def posterior_samples(
     images, generator = problem.irradiances(z), np.random.default_rng(SEED)
     for _ in range(probes):
         *noises, prior = 2.0 * generator.integers(0, 2, (len(images) + 1, *z.shape)) - 1.0
-        problem.set_targets([image + sigma * noise for image, noise in zip(images, noises)])
-        problem.set_prior(z + sigma / math.sqrt(smoothness) * prior_sample(prior))
-        problem.value(z, 0.0)
-        yield problem.step(smoothness, ITERATIONS, CLOSE[0])
+        targets = [image + sigma * noise for image, noise in zip(images, noises)]
+        yield _answer(problem, z, smoothness, targets, sigma / math.sqrt(smoothness) * prior_sample(prior))
+
+
+def shift_by(problem: Descent, z: np.ndarray, smoothness: float, errors: list[np.ndarray]) -> np.ndarray:
+    """How far errors of the images (rows, cols) [unit of the images] move depth (rows, cols) [nodes] at z,
+    by the linear model. What is left of ``problem``: see posterior_samples.
+    """
+    targets = [image + error for image, error in zip(problem.irradiances(z), errors)]
+    return _answer(problem, z, smoothness, targets, np.zeros(z.shape))
+
+
+def _answer(
+    problem: Descent, z: np.ndarray, smoothness: float, targets: list[np.ndarray], prior: np.ndarray
+) -> np.ndarray:
+    """The linear answer to ``targets``, less z, where the prior's mean is z + ``prior``."""
+    problem.set_targets(targets)
+    problem.set_prior(z + prior)
+    problem.value(z, 0.0)
+    return problem.step(smoothness, ITERATIONS, CLOSE[0])
 
 
 def prior_sample(white: np.ndarray) -> np.ndarray:
