@@ -17,8 +17,8 @@ With --drawn N: instead of these, N surfaces that are drawn at random from eight
 lamp and the spotlight; OUT/doubt_drawn.csv.
 
 Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others. Those
-of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; 16 and beyond
-were drawn afterwards. CORRECTED_WEIGHT was chosen with all fifteen surfaces under sky, sun and lamp.
+of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; CREASE_WEIGHT
+and CORRECTED_WEIGHT with these and all fifteen surfaces. 16 and beyond were drawn afterwards.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Standard deviation and confidence of the recovered depth, and other depths that explain a pixel.
 
-The variance of depth is a sum of parts: image noise, errors of the model, and the squared distances to other
-surfaces that explain the images about as well.
+The variance of depth is a sum of parts: image noise, errors of the model, creases among them, and the squared
+distances to other surfaces that explain the images about as well.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
 
     Right is within RIGHT of the range of depths [nodes], or within LEAST_RIGHT if that is more. It is
     1 / (1 + t^2), t the standard deviation over that of probability 1/2. By this 69, 90 and 95 % of errors
-    are within 1, 2 and 3 standard deviations; of normal errors 68, 95 and 99.7 % are, and 82, 94 and 97 % in
+    are within 1, 2 and 3 standard deviations; of normal errors 68, 95 and 99.7 % are, and 87, 97 and 99 % in
     performance/doubt.py.
     """
     half = max(RIGHT * depth_range, LEAST_RIGHT) / NORMAL_QUARTILE
