@@ -1,5 +1,9 @@
 """The errors that skylamp raises on purpose: one sentence each for what, where, got, allowed, fix."""
 
+from __future__ import annotations
+
+from typing import Self
+
 
 class SkylampError(Exception):
     """Base of every error that skylamp raises on purpose."""
@@ -15,6 +19,11 @@ class BackendError(SkylampError, RuntimeError):
 
 class CapacityError(SkylampError, MemoryError):
     """The work does not fit into the available memory."""
+
+    # that of MemoryError, which comes first otherwise, refuses a subclass of two errors: tblib, with which
+    # Dask sends errors to other processes, calls it
+    def __new__(cls, *args: object) -> Self:
+        return Exception.__new__(cls, *args)
 
 
 class OutOfTimeError(SkylampError, TimeoutError):

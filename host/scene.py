@@ -110,12 +110,21 @@ class Scene:
     # by how much float32 rounds the depths that were given, if more than ROUNDED and than it need [spacings]
     rounding: float = field(init=False, repr=False, default=0.0)
     _from_least: Scene | None = field(init=False, repr=False, default=None)  # see under_sky()
+    # labels of a depth that has none of its own: they stay where a field of the scene is replaced
+    _labels: Labels | None = field(default=None, repr=False, kw_only=True)
 
     def __post_init__(self) -> None:
         given, height = (self.depth.values, True) if isinstance(self.depth, _Heights) else (self.depth, False)
         what = "height" if height else "depth"
-        labels = labels_of(given)
-        _set(self, labels=labels, spacing=positive_number(self.spacing, "spacing"), axes=axes_of(labels))
+        own = labels_of(given)
+        labels = own or self._labels
+        _set(
+            self,
+            labels=labels,
+            _labels=labels,
+            spacing=positive_number(self.spacing, "spacing"),
+            axes=axes_of(labels),
+        )
         one_of(self.sides, tuple(SIDES), "sides")
         maps = getattr(self.reflectance, "labels", {})
         for name, beside in [("mask", self.mask), ("albedo", self.albedo), *maps.items()]:
@@ -126,10 +135,10 @@ class Scene:
         there = _on_device(given)
         values: Any = as_real(given, what) if there is None else None
         shape = there.shape if there is not None else values.shape
-        if labels is not None and not height:
-            check_spacing(self.spacing, labels)
+        if own is not None and not height:
+            check_spacing(self.spacing, own)
         mask = _mask(self.mask, shape)
-        _set(self, mask=mask if there is not None else _known(given, labels, mask))
+        _set(self, mask=mask if there is not None else _known(given, own, mask))
         if self.mask is not None and not self.mask.any():
             raise bad("mask: no valid node", "False everywhere", "at least one True")
         if values is None:
@@ -208,6 +217,12 @@ class Scene:
             kept = resident.in_layers(backend, depth, values.shape, self.spacing, surveyed)
         _set(self, resident=kept, _range=(surveyed.least, surveyed.most))
         object.__delattr__(self, "depth")
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        for value in state.values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
 
     def __getattr__(self, name: str) -> Any:
         """Values made on first use: those of the lattice, and the host's copies of a map on a device."""
@@ -313,14 +328,6 @@ class Scene:
         rows, cols = self.depth.shape if held is None else held.shape
         return rows, cols
 
-    def depth_at(self, row: int, col: int) -> np.float32:
-        """Depth of one node [length]; a map on a device stays there. Not finite where masked."""
-        if self.resident is None:
-            value: np.float32 = self.depth[row, col]
-            return value
-        depth = self.resident.pick(np.array([row * self.shape[1] + col]))[0]
-        return np.float32(depth * (self.spacing / self.resident.step))
-
     @property
     def deepest(self) -> float:
         """The greatest valid depth [length]."""
@@ -344,6 +351,15 @@ class Scene:
     def layers(self) -> tuple[np.ndarray, float]:
         """Depth rounded to layers, rint(depth / spacing), and the step 1, for the field and for carving."""
         return np.rint(self._values.astype(np.float64) / self._step).astype(np.float32), 1.0
+
+
+def depth_at(scene: Scene, row: int, col: int) -> np.float32:
+    """Depth of one node [length]; a map on a device stays there. Not finite where masked."""
+    if scene.resident is None:
+        value: np.float32 = scene.depth[row, col]
+        return value
+    depth = scene.resident.pick(np.array([row * scene.shape[1] + col]))[0]
+    return np.float32(depth * (scene.spacing / scene.resident.step))
 
 
 class _Heights(NamedTuple):
@@ -520,12 +536,13 @@ def _reflectance(
         given = Lambertian(albedo)
     elif not isinstance(given, Reflectance):
         raise bad("reflectance", type(given).__name__, "Lambertian, Phong, Mirror or BRDF")
-    elif not np.array_equal(albedo, ALBEDO):
+    elif albedo is not given.albedo and not np.array_equal(albedo, ALBEDO):  # as where one field is replaced
         raise bad(
             "scene: albedo and reflectance",
             "both",
             "one of them",
-            "The diffuse albedo is an argument of the reflectance.",
+            "The diffuse albedo is an argument of the reflectance. Where the albedo of a scene is replaced:"
+            " reflectance=None beside it.",
         )
     return fitted(given, shape, mask)
 

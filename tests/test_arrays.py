@@ -1,8 +1,11 @@
 """Arrays of other libraries in: the same bytes as NumPy's. xarray in, xarray out."""
 
 import contextlib
+import copy
+import dataclasses
 import gc
 import importlib
+import pickle
 import subprocess
 import sys
 import warnings
@@ -363,6 +366,41 @@ def test_what_must_have_it_on_the_host_gets_it(fast):
     np.testing.assert_allclose(got, expected, rtol=1e-5)
     with pytest.raises(AttributeError, match="no attribute 'height'"):
         _ = there.height
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        sl.Scene(DEPTH, albedo=0.5),
+        sl.Scene(DEPTH, albedo=np.where(DEPTH > 1, 0.2, 0.6), mask=DEPTH > 0.5),
+        sl.Scene(DEPTH, reflectance=sl.Phong(0.3, 0.2, 20)),
+        sl.Scene.from_height(1e5 + DEPTH, albedo=(0.1, 0.2, 0.3)),
+    ],
+)
+def test_fields_of_a_scene_can_be_replaced(scene, fast):
+    """One at a time; an albedo together with the reflectance that was made of it."""
+    render = lambda one: sl.render(one, sl.Sky(), azimuths=8, backend=fast).image
+    np.testing.assert_array_equal(render(dataclasses.replace(scene)), render(scene))
+    assert dataclasses.replace(scene, sides="dark").sides == "dark"
+    wide = dataclasses.replace(scene, spacing=3.0)
+    assert wide.spacing == 3 and np.array_equal(wide.albedo, scene.albedo, equal_nan=True)
+    with pytest.raises(sl.InputError, match="reflectance=None beside it"):
+        dataclasses.replace(scene, albedo=0.4)
+    assert dataclasses.replace(scene, albedo=0.4, reflectance=None).albedo == 0.4
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda made: pickle.loads(pickle.dumps(made))])
+def test_copies_of_a_scene_are_read_only_too(copied):
+    """Its range and what backends keep of it would not follow a change."""
+    scene = copied(sl.Scene(DEPTH, mask=DEPTH > 0.5))
+    for array in (scene.depth, scene.mask):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 1
+    for array in (
+        sl.Lamp(volume=np.ones((2, 3, 4), bool)).volume,
+        sl.Window(aperture=np.eye(4) > 0).aperture,
+    ):
+        assert not array.flags.writeable
 
 
 def test_the_scene_keeps_its_own_copy():

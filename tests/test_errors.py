@@ -1,6 +1,7 @@
 """Bad input: one clear error each that says what was got and what is allowed; what an import does not do."""
 
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -516,3 +517,13 @@ def test_a_lamp_over_a_map_that_repeats_is_sent_to_no_other_method(lamp, how):
     with pytest.raises(sl.InputError, match="sides='open' or 'dark'") as caught:
         sl.render(sl.Scene(np.full((4, 4), 5.0), sides="periodic"), lamp, backend="numpy", **how)
     assert "Use method" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "kind", [sl.SkylampError, sl.InputError, sl.BackendError, sl.CapacityError, sl.OutOfTimeError]
+)
+def test_errors_travel_between_processes(kind):
+    """By pickle, and by tblib, which Dask loads: it makes an error without its arguments first."""
+    error = pickle.loads(pickle.dumps(kind("what, where")))
+    assert type(error) is kind and str(error) == "what, where"
+    assert type(kind.__new__(kind)) is kind

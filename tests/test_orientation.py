@@ -1,5 +1,7 @@
 """DataArrays whose rows run north, or whose columns run west, are lit as the same map in the usual order."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -229,6 +231,20 @@ def test_sectors_by_brightness_lie_the_same_way_in_each_order(dem, fast):
     for order in ORDERS[1:]:
         turned = dem[:: order[0], :: order[1]]
         alike(sl.render(sl.Scene.from_height(turned), sky, **options).image, expected, 3e-3)
+
+
+def test_a_scene_with_a_field_replaced_keeps_its_north(dem, fast):
+    """And its coordinates, and a node of depth 0 where the attributes say that a height of 0 is no data."""
+    up = dem[::-1].assign_attrs(nodata=0.0)
+    scene = sl.Scene.from_height(up)
+    again = dataclasses.replace(scene, sides="dark")
+    assert again.axes == scene.axes == (1.0, -1.0) != sl.Scene.from_height(dem).axes
+    assert again.mask is None and again.depth.min() == 0
+    light = SKIES["sun"], dict(backend=fast, azimuths=16)
+    image, wanted = (
+        sl.render(one, light[0], **light[1]).image for one in (again, sl.Scene.from_height(up, sides="dark"))
+    )
+    xr.testing.assert_identical(image, wanted)
 
 
 def test_the_zenith_of_a_map_is_one_place():

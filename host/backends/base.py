@@ -24,6 +24,7 @@ from numpy.typing import DTypeLike
 from ..checks import positive_number
 from ..constants import MOST_PIXELS, PIXEL_PADDING
 from ..errors import CapacityError, OutOfTimeError
+from ..locks import give_lock
 
 # values of ``single_item_nodes`` and ``nodes_per_item`` on a CPU, and of ``iterations_ahead`` on a GPU
 CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, GPU_ITERATIONS_AHEAD = 8192, 64, 8
@@ -220,8 +221,10 @@ class Backend(ABC):
 
     shares = False  # whether the device's memory is the host's
 
+    lock: threading.RLock  # a call makes others
+
     def __init__(self) -> None:
-        self.lock = threading.RLock()  # a call makes others
+        give_lock(self)
         # by the ids of scenes, the one that was used last at the end: the map, and its finalizer; see
         # Scene.on
         self.kept: OrderedDict[int, Any] = OrderedDict()

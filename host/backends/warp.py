@@ -7,7 +7,6 @@ import functools
 import importlib
 import os
 import tempfile
-import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ from numpy.typing import DTypeLike
 from skylamp.warp_kernels import GROUP
 
 from ..constants import GPU_LINES, GPU_PIXELS, SQUARE
+from ..locks import give_lock
 from . import staging
 from .base import (
     CPU_NODES_PER_ITEM,
@@ -95,9 +95,6 @@ def _trim(backend: WarpBackend, held: int) -> None:
 
 class WarpBackend(Backend):
     """One Warp device. Device arrays are Warp arrays."""
-
-    # one for all devices: modules and settings are the process's, and a scene's map may lie on another device
-    lock = threading.RLock()
 
     def __init__(self, alias: str) -> None:
         self.wp: Any = importlib.import_module("warp")
@@ -245,3 +242,7 @@ class WarpBackend(Backend):
         lead = value.shape[: kind.ndim - 1]
         shape = (*lead, value.size * size(value.dtype) // size(kind.dtype) // int(np.prod(lead)))
         return self.wp.array(ptr=value.ptr, dtype=kind.dtype, shape=shape, device=value.device)
+
+
+# one for all devices: modules and settings are the process's, and a scene's map may lie on another device
+give_lock(WarpBackend)

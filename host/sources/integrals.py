@@ -22,6 +22,7 @@ import numpy as np
 
 from .. import sources
 from ..directions import Azimuths
+from ..locks import give_lock
 from .tables import EVALUATION_BATCH, diamond, elevation_of
 
 # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
@@ -514,8 +515,10 @@ _of_formulas = functools.lru_cache(16)(Integrals)  # 1.3 MB each, 20 to 60 ms to
 class _Kept:
     """Integrals of brightness that comes from an object, kept while that lives, the last used ones."""
 
+    lock: threading.RLock
+
     def __init__(self) -> None:
-        self.lock = threading.RLock()
+        give_lock(self)
         self.of: OrderedDict[tuple[Any, ...], Integrals] = OrderedDict()
         self.owners: set[int] = set()
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..arrays import Labels, host_array, labels_of, lies_on
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from ..errors import CapacityError, InputError, bad
+from ..scene import Scene, depth_at
 from .brightness import (
     BRIGHTEST,
     LEAST_UNIT,
@@ -25,9 +26,6 @@ from .brightness import (
     distribution,
     numbers,
 )
-
-if TYPE_CHECKING:
-    from ..scene import Scene
 
 # of a ray that goes from node to node up to a volume; chosen: some minutes for 209 directions in NumPy, and
 # time is in proportion
@@ -229,7 +227,7 @@ def geometry(source: Source, scene: Scene, step: float) -> Geometry:
     x, y, z = source.center
     col, row = (int(np.floor(v / scene.spacing + 0.5)) for v in (x, y))
     on_map = 0 <= row < scene.shape[0] and 0 <= col < scene.shape[1]
-    if on_map and z > (depth := scene.depth_at(row, col)):
+    if on_map and z > (depth := depth_at(scene, row, col)):
         raise bad(
             "lamp below the surface",
             f"center z = {z} at (row, col) = ({row}, {col})",
@@ -417,4 +415,6 @@ def _flags(values: Any, what: str, ndim: int, form: str) -> np.ndarray:
         raise bad(what, f"dtype {array.dtype}, shape {array.shape}", f"bool {form}, not empty")
     if not array.any():
         raise InputError(f"{what}: no element is True, so nothing shines.")
-    return np.ascontiguousarray(array).copy()
+    flags = np.ascontiguousarray(array).copy()
+    flags.flags.writeable = False
+    return flags

@@ -138,6 +138,36 @@ def test_a_forked_child_renders():
     assert child.exitcode == 0
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("backend", ["numpy", "warp:cpu"])
+def test_a_child_forked_while_a_thread_renders(backend):
+    """The thread holds the backend's lock, and is not there in the child, which hung."""
+    if backend not in [info.name for info in sl.backends() if info.available]:
+        pytest.skip(f"no {backend} here")
+    bright = sl.Scene(np.tile(DEPTH, (6, 6)))
+    expected = sl.render(sl.Scene(DEPTH), sl.Sky(), azimuths=8, backend="numpy").image.tobytes()
+    done = threading.Event()
+
+    def work():
+        while not done.is_set():
+            sl.render(bright, sl.Sky(), azimuths=32, backend=backend)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    context = multiprocessing.get_context("fork")
+    try:
+        for _ in range(4):
+            queue = context.Queue()
+            child = context.Process(target=_forked, args=(queue,))
+            child.start()
+            assert queue.get(timeout=60) == expected
+            child.join(60)
+    finally:
+        done.set()
+        thread.join()
+
+
 FORK = """
 import os, numpy as np, skylamp as sl
 scene = sl.Scene(np.random.default_rng(0).random((16, 21)))
