@@ -16,6 +16,7 @@ from .directions import Azimuths, angles_on
 from .errors import CapacityError, bad
 from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
+from .render_options import sectors_of
 from .scale import limited, over_tiles
 from .scene import Scene, is_scene
 from .sources.tables import elevation_of
@@ -83,7 +84,7 @@ def horizons(
         A NumPy array, DataArray or lazy array, as the scene is; a DeviceImage where its map lies on a GPU.
     """
     scene = _scene_of(scene)
-    azimuths = as_azimuths(azimuths)
+    azimuths = sectors_of(azimuths)
     needed = 4 * azimuths.count * math.prod(scene.shape)
     if (
         scene.lazy is None
@@ -154,7 +155,7 @@ def sky_view_factor(
     """
     one_of(definition, DEFINITIONS, "definition")
     scene = _scene_of(scene)
-    how: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend, axes=scene.axes)
+    how: dict[str, Any] = dict(azimuths=sectors_of(azimuths), backend=backend, axes=scene.axes)
     work = partial(sky_view, definition=definition, **how)
     with limited(max_seconds, "sky_view_factor", scene, backend):
         factor: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
@@ -231,7 +232,7 @@ def openness(
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
     work = partial(
         mean_openness,
-        azimuths=as_azimuths(azimuths),
+        azimuths=sectors_of(azimuths),
         backend=backend,
         axes=scene.axes,
         upside_down=bool(negative),
@@ -282,7 +283,3 @@ def _scene_of(given: Any) -> Scene:
     scene = given if labels_of(given) is None else Scene.from_height(given)
     is_scene(scene)
     return scene.under_sky()
-
-
-def as_azimuths(azimuths: int | Azimuths) -> Azimuths:
-    return azimuths if isinstance(azimuths, Azimuths) else Azimuths(azimuths)

@@ -148,9 +148,9 @@ def is_in_colour(share: np.ndarray) -> bool:
 
 
 def number_of(source: sources.Source) -> float:
-    """The brightness of a grey source whose brightness is a number."""
+    """The brightness of a grey source if that is a number, 1 if it is a function of direction."""
     value: Any = source.brightness
-    return float(value)
+    return 1.0 if callable(value) else float(value)
 
 
 def numbers_of(greys: Sequence[sources.Source]) -> list[float] | None:

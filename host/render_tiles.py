@@ -27,7 +27,6 @@ from .scale import (
     Audit,
     Lights,
     decided,
-    fits,
     holds,
     over_area,
     seen_from_edge,
@@ -67,7 +66,7 @@ def goes_in_tiles(
 ) -> bool:
     """Whether tiles are asked for, which may be an InputError, or are needed and possible."""
     asked = scene.lazy is not None or tiling is not None
-    if not asked and fits(scene, engine):
+    if not asked and holds(*scene.shape, engine):
         return False
     refused = refused_in_tiles(options, scene, source, engine)
     if asked and refused:

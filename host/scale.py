@@ -258,7 +258,7 @@ def over_tiles(
                 "dimensions of a DataArray", scene.labels.dims, f"others than {name!r}", "Use rename()."
             )
     engine, counts = engine_of(scene, backend), [len(values) for values in leading.values()]
-    if scene.lazy is None and tiling is None and fits(scene, engine):
+    if scene.lazy is None and tiling is None and holds(*scene.shape, engine):
         return labelled(work(scene, max_distance, None), scene.labels, quantity, **leading)
     mapped = tiled(work, scene, tiling, max_distance, Audit(backend), *counts)
     return labelled(mapped, scene.labels, quantity, **leading)
@@ -358,11 +358,6 @@ def albedo_of(scene: Scene) -> tuple[Any, Any]:
     if np.ndim(albedo) < 2:
         return albedo, None
     return None, albedo if albedo.ndim == 2 else albedo.transpose(2, 0, 1)
-
-
-def fits(scene: Scene, engine: Backend) -> bool:
-    """Whether a whole map can be swept at once."""
-    return holds(*scene.shape, engine)
 
 
 def holds(rows: int, cols: int, engine: Backend) -> bool:

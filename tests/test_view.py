@@ -12,6 +12,7 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+import typer
 
 from skylamp.app import view
 from skylamp.errors import InputError
@@ -56,6 +57,12 @@ def test_nodes_without_data(file, nodata, fast):
     image = viewer.refined(view.Settings()).image
     np.testing.assert_array_equal(names["image"], image)
     np.testing.assert_array_equal(np.isnan(image), (values != nodata) == (values != values))
+
+
+def test_resample_is_of_a_geotiff(file):
+    """It was ignored for other files."""
+    with pytest.raises(typer.BadParameter, match="not a GeoTIFF"):
+        view.read(file, True, None, True)
 
 
 @pytest.mark.slow

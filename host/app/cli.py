@@ -64,7 +64,7 @@ def _options(
     debug: Annotated[bool, typer.Option("--debug", help="Print the traceback of an error")] = False,
 ) -> None:
     global _debug
-    _debug, output.quiet, output.verbose = debug, False, False
+    _debug, output.quiet = debug, False
 
 
 IN_TILES = (  # options of an image that is made tile by tile
@@ -113,7 +113,6 @@ def render(
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Render a depth map under a source."""
     out = output.needed((file, source), target, out, error)
@@ -123,7 +122,7 @@ def render(
     surface = parsing.reflectance(albedo, specular, exponent)
     light = parsing.source(source, lamp, window, sun, direct)
     asked = method != "auto" or azimuths or max_distance or hemicube or filled is not None
-    between = parsing.interreflection(interreflection)
+    between = parsing.INTERREFLECTION[interreflection]
     options: dict[str, Any] = dict(
         method=method,
         tolerance=_tolerance(tolerance, asked, between),
@@ -235,7 +234,6 @@ def plan(
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
     surface = parsing.reflectance(albedo, specular, exponent)
@@ -249,7 +247,7 @@ def plan(
             parsing.tolerance(tolerance),
             backend,
             tail=None if tail is None else parsing.tolerance(tail, "--tail"),
-            interreflection=parsing.interreflection(interreflection),
+            interreflection=parsing.INTERREFLECTION[interreflection],
         )
     if as_json:
         output.print_json(made)
@@ -292,7 +290,6 @@ def recover(
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Recover depth from an image, with a picture of its confidence. An .npz also holds
     confidence, standard deviation (robust), candidates and the masks of ambiguous pixels and drilled columns;
@@ -315,7 +312,7 @@ def recover(
             light,
             spacing=spacing,
             method=method,
-            interreflection=parsing.interreflection(interreflection),
+            interreflection=parsing.INTERREFLECTION[interreflection],
             progress=progress,
             **options,
         )
@@ -386,7 +383,6 @@ def horizon(
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Compute horizons: sky-view factor, openness [rad] or slopes of the map; draw the sky above one node."""
     out = output.either((file, source), target, out, picture)
@@ -459,7 +455,6 @@ def field(
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Compute the visibility field: the visible solid angle [sr] of the source at every point of free space,
     (layers, rows, cols); draw the rays through points of one row.
@@ -505,7 +500,6 @@ def chart(
     sizes: opt.Sizes = "128,512",
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Measure speed and accuracy of every method, backend and plan on this machine, and draw a chart."""
     many = parsing.whole_numbers(sizes, "--sizes")
@@ -532,7 +526,7 @@ def chart(
 
 
 @app.command(epilog=epilog("backends"))
-def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
+def backends(as_json: opt.Json = False, quiet: opt.Quiet = False) -> None:
     """List the backends: name, device, and the reason if one is not available."""
     with output.progress_bar("looking for devices"):
         infos = sl.backends()
@@ -546,7 +540,7 @@ def backends(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
 
 
 @app.command(epilog=epilog("doctor"))
-def doctor(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
+def doctor(as_json: opt.Json = False, quiet: opt.Quiet = False) -> None:
     """Print versions, devices, caches and free memory as JSON, for bug reports; with --json in one line."""
     with output.progress_bar("looking for devices"):
         report = examined()
@@ -554,7 +548,7 @@ def doctor(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Ver
 
 
 @app.command(epilog=epilog("selftest"))
-def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.Verbose = False) -> None:
+def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False) -> None:
     """Check every available backend against closed forms, brute force and each other; exit 1 if one fails."""
     with output.progress_bar("checking") as progress:
         checked = checks(progress)
@@ -565,9 +559,7 @@ def selftest(as_json: opt.Json = False, quiet: opt.Quiet = False, verbose: opt.V
     wrong = [c for c in every if not c.passed]
     if as_json:
         results: dict[str, Any] = {"checks": checked, "comparisons": compared}
-        facts = {
-            name: [{**output.plain(c), "passed": c.passed} for c in some] for name, some in results.items()
-        }
+        facts = {name: [{**vars(c), "passed": c.passed} for c in some] for name, some in results.items()}
         output.print_json({"backends": names, "passed": not wrong, **facts})
     else:
         output.console().print(_checked(checked))
@@ -615,7 +607,6 @@ def demo(
     backend: opt.Backend = "auto",
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Render mountains under two skies and a lamp, recover depth from an image, and compare the backends."""
     with output.progress_bar("looking for devices"):
@@ -641,7 +632,6 @@ def view(
     browser: opt.Browser = True,
     backend: opt.Backend = "auto",
     quiet: opt.Quiet = False,
-    verbose: opt.Verbose = False,
 ) -> None:
     """Open a page in the browser to render the map while the sun or a lamp is dragged with the mouse."""
     with output.progress_bar("reading"):

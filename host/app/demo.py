@@ -48,7 +48,7 @@ class Pictures:
 
     def add_panel(self) -> None:
         """All pictures on one sheet."""
-        io.write(self.folder / "panel.png", mosaic.of_six(self.tones), range=(0.0, 1.0))
+        io.write(self.folder / "panel.png", mosaic.sheet_of(self.tones, 3), range=(0.0, 1.0))
         self.facts.append({"file": "panel.png", "shows": "all of them"})
 
 

@@ -19,15 +19,15 @@ def enlarged(picture: np.ndarray, times: int) -> np.ndarray:
     return np.kron(picture, np.ones((times, times)))
 
 
-def of_six(pictures: list[np.ndarray]) -> np.ndarray:
-    """Two rows of three, the small ones enlarged to whole multiples."""
+def sheet_of(pictures: list[np.ndarray], across: int) -> np.ndarray:
+    """Rows of so many pictures, the small ones enlarged to whole multiples."""
     rows, cols = pictures[0].shape
-    sheet = np.full((2 * rows + 3 * BORDER, 3 * cols + 4 * BORDER), GREY)
+    down = -(-len(pictures) // across)
+    sheet = np.full((down * (rows + BORDER) + BORDER, across * (cols + BORDER) + BORDER), GREY)
     for number, picture in enumerate(pictures):
-        times = min(rows // picture.shape[0], cols // picture.shape[1])
-        picture = enlarged(picture, times)
-        top = BORDER + (rows + BORDER) * (number // 3) + (rows - picture.shape[0]) // 2
-        left = BORDER + (cols + BORDER) * (number % 3) + (cols - picture.shape[1]) // 2
+        picture = enlarged(picture, min(rows // picture.shape[0], cols // picture.shape[1]))
+        top = BORDER + (rows + BORDER) * (number // across) + (rows - picture.shape[0]) // 2
+        left = BORDER + (cols + BORDER) * (number % across) + (cols - picture.shape[1]) // 2
         sheet[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
     return sheet
 
@@ -50,11 +50,7 @@ def of_recovery(image: np.ndarray, recovered: Recovery, spacing: float) -> np.nd
         _scaled(np.abs(recovered.residual), 0.1 * image.max()),
     ]
     times = max(1, ROW // max(rows, cols))
-    sheet = np.full((rows * times + 2 * BORDER, 4 * (cols * times + BORDER) + BORDER), GREY)
-    for number, values in enumerate(pictures):
-        left = BORDER + number * (cols * times + BORDER)
-        sheet[BORDER : BORDER + rows * times, left : left + cols * times] = enlarged(values, times)
-    return sheet
+    return sheet_of([enlarged(values, times) for values in pictures], 4)
 
 
 def _scaled(values: np.ndarray, white: float) -> np.ndarray:

@@ -103,12 +103,6 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", callback=output.be_quiet, help="Print warnings and errors only")
 ]
-Verbose = Annotated[
-    bool,
-    typer.Option(
-        "--verbose", "-v", callback=output.be_verbose, help="Print messages of compilers and drivers too"
-    ),
-]
 
 # -- of render
 Direct = Annotated[

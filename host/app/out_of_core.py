@@ -25,11 +25,12 @@ import skylamp
 
 from ..backends import select
 from ..errors import CapacityError, InputError, bad, lacking
-from ..horizon import as_azimuths, mean_openness, sky_view
+from ..horizon import mean_openness, sky_view
 from ..io import geotiff as geo
 from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
+from ..render_options import sectors_of
 from ..render_tiles import tile_image
 from ..scale import Audit, Layout, around_tile, decided_by_sums, devices, layout_of_map, sums_of_tile, tile_of
 from ..scene import ALBEDO, Scene
@@ -133,7 +134,7 @@ class Job(NamedTuple):
 
 def horizon(what: str, definition: str, azimuths: int, max_distance: float | None, backend: str) -> Quantity:
     """One quantity of `skylamp horizon`."""
-    options: dict[str, Any] = dict(azimuths=as_azimuths(azimuths), backend=backend)
+    options: dict[str, Any] = dict(azimuths=sectors_of(azimuths), backend=backend)
     works: dict[str, Any] = {
         "sky-view-factor": partial(sky_view, definition=definition, **options),
         "openness": partial(mean_openness, **options),

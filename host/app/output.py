@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib
 import json
 import os
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -24,19 +22,13 @@ from ..io.paths import HDR
 from . import plot
 
 WIDTH = 160  # characters in a line of a table, off a terminal
-quiet = verbose = False  # --quiet and --verbose of the running command
+quiet = False  # --quiet of the running command
 
 
 def be_quiet(asked: bool) -> None:
     """The effect of --quiet."""
     global quiet
     quiet = quiet or asked
-
-
-def be_verbose(asked: bool) -> None:
-    """The effect of --verbose."""
-    global verbose
-    verbose = verbose or asked
 
 
 def message(text: str) -> None:
@@ -131,17 +123,13 @@ def write(
 
 @contextlib.contextmanager
 def native_output_silenced(path: Path | str) -> Iterator[None]:
-    """No native output while an .exr or .hdr is read.
+    """No native output to stdout and stderr while an .exr or .hdr is read.
 
-    OpenEXR and OpenCV write to stdout and stderr about damage, which the error of the command names too.
+    OpenEXR and OpenCV write there about damage, which the error of the command names too.
     """
-    with _silenced() if str(path).lower().endswith(HDR) else contextlib.nullcontext():
+    if not str(path).lower().endswith(HDR):
         yield
-
-
-@contextlib.contextmanager
-def _silenced() -> Iterator[None]:
-    """No native output to stdout and stderr."""
+        return
     kept: dict[int, int] = {}
     null = os.open(os.devnull, os.O_WRONLY)
     for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
@@ -158,21 +146,6 @@ def _silenced() -> Iterator[None]:
         os.close(null)
 
 
-def _start_libraries() -> None:
-    """Warp without its banner and, unless --verbose, without messages about missing drivers; PyOpenCL without
-    those of compilers. Here, because a library must not decide that for its user.
-    """
-    warp: Any = importlib.import_module("warp")
-    if hasattr(warp, "LOG_WARNING"):  # older Warps have no levels
-        warp.config.log_level = warp.LOG_WARNING
-    if verbose:
-        warp.init()
-        return
-    warnings.filterwarnings("ignore", "Non-empty compiler output")
-    with _silenced():
-        warp.init()
-
-
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
     """A progress(done, total) that draws a bar on stderr if that is a terminal, else None.
@@ -180,7 +153,6 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
     The output of libraries goes to stderr too.
     """
     with contextlib.redirect_stdout(sys.stderr):
-        _start_libraries()
         if quiet or not sys.stderr.isatty():
             yield None
             return
@@ -235,16 +207,9 @@ def report_array_or_picture(
 
 
 def print_json(value: object) -> None:
-    """``value`` as one JSON object on stdout."""
-    print(json.dumps(plain(value)))
+    """``value`` as one JSON object on stdout; dataclasses are dicts of their fields."""
+    print(json.dumps(value, default=_plain))
 
 
-def plain(value: Any) -> Any:
-    """``value`` made of what JSON has: dicts, lists, numbers, texts and None."""
-    if dataclasses.is_dataclass(value):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    return value.item() if isinstance(value, np.generic) else value
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else dataclasses.asdict(value)

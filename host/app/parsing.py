@@ -162,12 +162,7 @@ def _sun(text: str) -> tuple[float, float]:
     return azimuth, elevation
 
 
-def interreflection(text: str) -> bool | str:
-    """ "auto", or True for "on" and False for "off"; a usage error for anything else."""
-    taken: dict[str, bool | str] = {"auto": "auto", "on": True, "off": False}
-    if text not in taken:
-        raise typer.BadParameter(f"auto, on or off, not {text!r}", param_hint="--interreflection")
-    return taken[text]
+INTERREFLECTION: dict[str, bool | str] = {"auto": "auto", "on": True, "off": False}  # of the option
 
 
 def tolerance(text: str, option: str = "--tolerance") -> float:

@@ -25,14 +25,13 @@ from .. import io
 from ..directions import Azimuths
 from ..errors import bad, lacking
 from ..images import Rendering
-from ..io import geotiff as geo
 from ..rendering import render
 from ..scene import Scene
 from ..sources import Lamp, Sky, Source, cie_overcast
 from ..sources.cie import cie_clear
 from . import plot
 from .output import native_output_silenced
-from .parsing import without
+from .parsing import INTERREFLECTION, raster_of, without
 
 COARSE_SIDE = 160  # [node] of the map that is rendered while the mouse moves; twice takes four times as long
 COARSE_AZIMUTHS = 8  # in which it is; half of it shows as stripes
@@ -93,8 +92,8 @@ def read(
 
 def _read(file: Path, height: bool | None, spacing: float | None, resample: bool) -> Map:
     """The whole map in a file."""
-    if geo.is_geotiff(file):
-        raster = geo.read(file, resample=resample)
+    raster = raster_of(file, resample)
+    if raster is not None:
         step = raster.spacing if spacing is None else spacing
         call = f"raster = geo.read({str(file)!r}{', resample=True' * resample})"
         parts = f"values, mask, spacing = raster.values, raster.mask, {step!r}"
@@ -162,7 +161,7 @@ class Viewer:
 
     def refined(self, settings: Settings) -> Rendering:
         """The image within the tolerance."""
-        between: Any = {"off": False, "on": True}.get(settings.interreflection, "auto")
+        between: Any = INTERREFLECTION[settings.interreflection]
         scene, source = self.scene(settings), self.source(settings)
         return render(scene, source, "auto", settings.tolerance, self.backend, interreflection=between)
 
@@ -185,8 +184,8 @@ class Viewer:
             source = f"sl.Sky(sl.cie_clear({sun}, direct={SUN_LIGHT}))"
         else:
             source = "sl.Sky()" if settings.source == "uniform sky" else "sl.Sky(sl.cie_overcast())"
-        between = {"off": "False", "on": "True"}.get(settings.interreflection, '"auto"')
-        call = f"tolerance={settings.tolerance}, interreflection={between}, backend={self.backend!r}"
+        between = INTERREFLECTION[settings.interreflection]
+        call = f"tolerance={settings.tolerance}, interreflection={between!r}, backend={self.backend!r}"
         return "\n".join(
             [
                 "import skylamp as sl",

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import sources
+from ..images import number_of
 from ..sources.brightness import Distribution
 from . import diagnostics
-from .pyramid import number_of
 
 # images of the same light whose means differ by more than this share were exposed differently; chosen: 1 %
 # of noise changes means of 32 x 32 pixels by 0.03 %

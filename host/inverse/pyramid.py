@@ -17,6 +17,7 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Backend
+from ..images import number_of
 from .descent import Descent
 from .lights import Light, brightness_of, light_of
 from .resampling import cubic, doubled, halved
@@ -80,12 +81,6 @@ def noise_of(image: np.ndarray) -> float:
 def share_of_images(residuals: np.ndarray) -> float:
     """The rms of residuals (n, rows, cols) in the unit of the pyramid, as a share of the images'."""
     return math.sqrt(float(np.mean(np.square(residuals)))) / IMAGE_RMS
-
-
-def number_of(source: sources.Source) -> float:
-    """A source's brightness if that is a number, 1 if it is a function of direction."""
-    assert not isinstance(source.brightness, tuple), "sources.radiance refuses colour"
-    return 1.0 if callable(source.brightness) else float(source.brightness)
 
 
 def grid_of_starts(shapes: list[tuple[int, ...]]) -> int:

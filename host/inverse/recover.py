@@ -13,9 +13,10 @@ from .. import sources
 from ..arrays import Labels, Quantity, axes_of, labelled, labels_of, lies_on
 from ..backends import select
 from ..backends.base import Backend, stopwatch, timed, within
-from ..checks import as_real, at, one_of, positive_number, real_array
+from ..checks import as_real, at, one_of, positive_number, real_array, whole_number
 from ..directions import Hemicube
 from ..errors import bad
+from ..images import number_of
 from ..interreflection import check_choice
 from ..light.propagation import Progress
 from ..scene import Scene, check_spacing
@@ -25,7 +26,7 @@ from .carving import carved_layers
 from .confidence import UNTRUSTED, confidence_of, judgement_of
 from .finer_model import refit_of
 from .multigrid import Multigrid
-from .pyramid import NEAREST, Level, Pyramid, number_of, share_of_images
+from .pyramid import NEAREST, Level, Pyramid, share_of_images
 from .resampling import doubled, halved_depth
 from .search import OutOfTime, Rival, Search
 
@@ -215,8 +216,7 @@ def _checked(
         _check_light(light)
     merged = by_light(images, lights)
     images, lights = merged.images, merged.lights
-    if isinstance(layers, bool) or not isinstance(layers, (int, np.integer)) or not 1 <= layers < MOST_LAYERS:
-        raise bad("layers", repr(layers), f"a whole number from 1 to {MOST_LAYERS - 1}")
+    whole_number(layers, "layers", 1, MOST_LAYERS - 1)
     if albedo is None and (len(images) == 1 or method != "robust"):
         raise bad(
             "albedo",
