@@ -41,11 +41,12 @@ EDGED = 3.0
 # a more even albedo; the first two by performance/doubt.py
 FINER_WEIGHT, RIVAL_WEIGHT, UNEVEN_WEIGHT = 1.2, 1.0, 1.4
 # that of the distance to the surface of a finer model where that is the answer, and that of the distance by
-# which creases move depth. By performance/doubt.py 87, 97 and 99 % of the true depths are then within 1, 2
-# and 3 std; with half of the first 86, 97 and 99 %, with twice 89, 98 and 99 %. With half of the second 82,
-# 93 and 97 instead of 85, 95 and 98 % on drawn surfaces that no constant was chosen with; with twice 88, 96
-# and 98 %, but of the others' pixels that are right within 2 nodes 18 instead of 14 % are marked
-CORRECTED_WEIGHT, CREASE_WEIGHT = 0.35, 0.5
+# which creases move depth. By performance/doubt.py 88, 98 and 99 % of the true depths are then within 1, 2
+# and 3 std; with half of the first 87, 97 and 99 %, and fewer than 9 of 10 within 2 on a smooth surface; with
+# twice 91, 98 and 99 %. With half of the second 83, 93 and 97 instead of 86, 95 and 98 % on drawn surfaces
+# that no constant was chosen with; with twice 89, 96 and 98 %, but of the others' pixels that are right within
+# 2 nodes 18 instead of 14 % are marked
+CORRECTED_WEIGHT, CREASE_WEIGHT = 0.5, 0.5
 # surfaces that are refitted from disturbed ones; weight of the rms of their distances; rms of the
 # disturbances over the range of depths, under a sky and under a lamp or window. By performance/doubt.py
 # --drawn 16 under a sun, with half the weight 63 instead of 80 % of the pixels that are off by more than 5
