@@ -219,6 +219,11 @@ def test_doubtful_pixels_are_said():
     assert few.startswith("Ambiguous: 0.5%") and albedo.startswith("Depth depends on the albedo at 25% of")
     assert len(diagnostics.of_confidence(confidence, ambiguous, True)) == 1
     ambiguous[0, 1] = False
+    (doubtful,) = diagnostics.of_confidence(confidence, ambiguous, True)
+    assert doubtful.startswith("Doubtful: the confidence of 25% of the pixels is below 0.5.")
+    assert diagnostics.of_confidence(confidence, ambiguous, True, place_is_known=False) == []
+    confidence[4] = 1
+    assert diagnostics.of_confidence(confidence, ambiguous, True) == []
     assert diagnostics.of_confidence(np.ones((20, 20)), ambiguous, False) == []
 
 

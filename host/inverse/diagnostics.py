@@ -57,7 +57,7 @@ NARROW = 5
 # share of ambiguous pixels from which on a warning says so; in the same recoveries in 3, 24 and 21 of 30,
 # from half of it in 5, 25 and 21, from twice in 3, 23 and 21
 AMBIGUOUS = 0.005
-UNTOLD = 0.2  # share of untrusted pixels above which a warning says that the albedo is not known; chosen
+UNTOLD = 0.2  # share of untrusted pixels above which a warning says so; chosen
 # part of the image's side that counts as border, and ratio of the variance of residuals there to that inside
 # from which on the sides are suspected; chosen
 RIM_PART, RIM_RATIO = 8, 2
@@ -218,8 +218,10 @@ def _worse_at_rim(residual: np.ndarray) -> bool:
     return bool(np.mean(residual[rim] ** 2) > RIM_RATIO * np.mean(residual[~rim] ** 2))
 
 
-def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: bool) -> list[str]:
-    """Warnings that follow from the doubtful pixels."""
+def of_confidence(
+    confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: bool, place_is_known: bool = True
+) -> list[str]:
+    """Warnings that follow from the doubtful pixels; ``place_is_known``: whether of_place has none."""
     warnings = []
     if ambiguous.mean() >= AMBIGUOUS:
         warnings.append(
@@ -231,6 +233,11 @@ def of_confidence(confidence: np.ndarray, ambiguous: np.ndarray, albedo_given: b
         warnings.append(
             f"Depth depends on the albedo at {untold:.0%} of the pixels: these images hardly"
             " separate the two; add an image under a lamp, or give the albedo."
+        )
+    elif untold > UNTOLD and place_is_known and not warnings:
+        warnings.append(
+            f"Doubtful: the confidence of {untold:.0%} of the pixels is below {UNTRUSTED:g}. Give near= and"
+            " far=, or an image under another light."
         )
     return warnings
 

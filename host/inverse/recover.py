@@ -501,8 +501,9 @@ def _recovery(
     warnings = [*answer.warnings, *diagnostics.of_limits(z, low, high)]
     for name, residual in zip(given.names if len(residuals) > 1 else ["image"], residuals):
         warnings += diagnostics.of_residual(pyramid, residual, name)
+    place_is_known = not diagnostics.of_place(pyramid.sides, pyramid.sources)
     warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
-    warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given)
+    warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given, place_is_known)
 
     depth = (z * scene.spacing).astype(np.float32)
     return Recovery(
