@@ -175,7 +175,8 @@ def by_creases(judged: Judged) -> np.ndarray:
     errors = errors_at_creases(problem, answer, pyramid.sides == "periodic")
     moved = shift_by(problem, answer, pyramid.smoothness(level), errors)
     problem.set_targets(pyramid.images[level])
-    return CREASE_WEIGHT**2 * blurred(moved**2)
+    low, high = pyramid.bounds[level]  # depth cannot lie farther away than these are apart
+    return CREASE_WEIGHT**2 * blurred(np.minimum(np.abs(moved), high - low) ** 2)
 
 
 def by_place(judged: Judged) -> np.ndarray:
