@@ -15,7 +15,7 @@ from ..samples import Samples
 from ..scene import Scene, is_scene
 from ..sources.integrals import BrightPart, Integrals, even, level_of, without
 from . import propagation
-from .base import LightMethod
+from .base import HostImage
 from .propagation import Problem
 
 # RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that may be chosen:
@@ -45,7 +45,7 @@ def problem_of(
     return Problem(there, there.step, scene.sides, cube.steps, geometry, filled)
 
 
-class Lattice(LightMethod):
+class Lattice(HostImage):
     """``units``: the hemicube's size."""
 
     unit_name = "hemicube"
@@ -75,9 +75,6 @@ class Lattice(LightMethod):
         """The next larger hemicube: no direction is shared."""
         self.units = next(size for size in HEMICUBE_ERRORS if size > self.units)
         self.image = self._image()
-
-    def irradiance(self) -> np.ndarray:
-        return self.image
 
 
 def lacking(scene: Scene, source: sources.Source) -> str:

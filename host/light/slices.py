@@ -140,7 +140,7 @@ class Slices:
         """``there``: the map; ``solid`` is in its unit, in which the spacing is ``there.step``.
 
         ``brightness``: a number; else the result of :func:`brightness_of` with a lobe, and of
-        :func:`skylamp.sources.integrals.chords` without one. ``most``: slices of a source that surrounds a
+        ``Integrals.chords`` without one. ``most``: slices of a source that surrounds a
         node, a multiple of 8; one that looks small has a quarter of them, half if it is a quadrangle, but at
         least 8, and others a number between. ``lobe``: light is weighted by it, and its width gives the
         number of slices. A Dome has a lobe. ``shift``: where in its step every slice of a ball lies, 0..1;

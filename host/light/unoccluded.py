@@ -82,15 +82,13 @@ def gradients(scene: Scene, rows: slice = slice(None)) -> tuple[np.ndarray, np.n
     return slopes[0], slopes[1]
 
 
-def by_normals(
-    table: np.ndarray | None, azimuths: np.ndarray | None = None, widths: np.ndarray | None = None
-) -> np.ndarray:
+def by_normals(table: np.ndarray, azimuths: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """A sky's light by normal, (n, n) float32, n = NORMALS_PER_AXIS, where only the tangent plane and the
     level occlude.
 
     Row j, column i: the normal whose stereographic projection is 2 i / (n - 1) - 1 along x and so on, see the
     kernel ``correct``. ``table`` (azimuths, knots, 4) as sweeps take it, with the ``azimuths`` and
-    ``widths`` of its sectors; None: a uniform sky of brightness 1, pi (1 + cos a) / 2.
+    ``widths`` of its sectors.
     """
     side = np.linspace(-1, 1, NORMALS_PER_AXIS)
     u, v = (a.ravel() for a in np.meshgrid(side, side))
@@ -100,12 +98,8 @@ def by_normals(
     light = np.zeros(len(u))
     for some in np.array_split(np.arange(len(u)), 8):
         sx, sy = u[some] * scale[some], v[some] * scale[some]
-        if table is None:
-            light[some] = np.pi / 2 * (1 + 1 / np.sqrt(1 + sx * sx + sy * sy))
-        else:
-            assert azimuths is not None and widths is not None, "a table has azimuths"
-            least = np.maximum(0, -(sx * np.cos(azimuths)[:, None] + sy * np.sin(azimuths)[:, None]))
-            light[some] = widths @ ring(sx, sy, azimuths, least, table)
+        least = np.maximum(0, -(sx * np.cos(azimuths)[:, None] + sy * np.sin(azimuths)[:, None]))
+        light[some] = widths @ ring(sx, sy, azimuths, least, table)
     return light.reshape(NORMALS_PER_AXIS, NORMALS_PER_AXIS).astype(np.float32)
 
 
