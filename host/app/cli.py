@@ -1,4 +1,5 @@
-"""The command line: `skylamp render | plan | recover | horizon | field | chart | backends | selftest | demo`.
+"""The command line: `skylamp render | plan | recover | horizon | field | chart | view | backends | doctor |
+selftest | demo`.
 
 Data go to files or to stdout; messages, progress and errors go to stderr. Exit codes: 0 ok, 2 usage, 3 bad
 input, 4 backend unavailable, 1 the rest. An error is one line; --debug adds the traceback.

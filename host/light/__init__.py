@@ -1,1 +1,1 @@
-"""How light reaches the ground: a file a method, all with the protocol of base.py."""
+"""How light reaches the ground: light methods (protocol: base.py), and the launches and tables they use."""
