@@ -38,8 +38,8 @@ POORLY = 0.03
 # nodes, and of those below it 5 errors are above half a node
 UNSETTLED = 0.0025
 # an image is called too bright for the model if it is brighter by this share of its RMS at so many pixels; in
-# the recoveries of POORLY in 0, 27 and 5 of 30. At so many pixels 1, 28 and 6 are brighter, at half as many 1, 28
-# and 8, at twice as many 0, 25 and 2
+# the recoveries of POORLY in 0, 27 and 5 of 30. At so many pixels 1, 28 and 6 are brighter, at half as many
+# 1, 28 and 8, at twice as many 0, 25 and 2
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
 # median of the albedo that is found from which on images are in another unit than brightness; chosen: light
 # between surfaces, taken for direct light, makes a white surface seem brighter, but hardly three times
@@ -55,8 +55,8 @@ EIGHT_BITS = 256
 # 2, 3, 4 and 6 nodes wide depth errs by 2.6, 1, 0.2, 0.2, 0.07 and 0.06 nodes (RMS), and 4, 9, 41, 26, 66 and
 # 63 % lie within 1 std; under lamps 2 and 4 wide by 0.8 and 0.2 nodes, and 17 and 40 %
 NARROW = 5
-# share of ambiguous pixels from which on a warning says so; in the recoveries of POORLY in 3, 24 and 21 of 30,
-# from half of it in 5, 25 and 21, from twice in 3, 23 and 21
+# share of ambiguous pixels from which on a warning says so; in the recoveries of POORLY in 3, 24 and 21
+# of 30, from half of it in 5, 25 and 21, from twice in 3, 23 and 21
 AMBIGUOUS = 0.005
 UNTOLD = 0.2  # share of untrusted pixels above which a warning says so; chosen
 # part of the image's side that counts as border, and ratio of the variance of residuals there to that inside
