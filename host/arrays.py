@@ -29,6 +29,15 @@ class Labels(NamedTuple):
     attrs: dict[Any, Any]
     grid_mapping: Hashable = None  # the coordinate that holds the coordinate reference system, where told
 
+    def are_of(self, shape: tuple[int, ...]) -> bool:
+        """Whether the coordinates fit a map of this shape."""
+        sizes = dict(zip(self.dims, shape))
+        return all(
+            sizes.get(name, size) == size
+            for coordinate in self.coords.values()
+            for name, size in coordinate.sizes.items()
+        )
+
 
 class Quantity(NamedTuple):
     """The quantity that a map holds: its name, its unit (None: that of the source), and a description."""

@@ -81,6 +81,8 @@ class Scene:
         repeats.
     reflectance : Lambertian, Phong, Mirror or BRDF, in place of ``albedo``
         Reflectance of the surface; ``albedo`` is then its diffuse part.
+    labels : Labels, optional
+        Those of a DataArray, for a depth that is none: ``dataclasses.replace`` passes them on.
 
     Raises
     ------
@@ -96,7 +98,7 @@ class Scene:
     mask: np.ndarray | None = None
     sides: str = "open"
     reflectance: Reflectance | None = None
-    labels: Labels | None = field(init=False, repr=False, default=None)
+    labels: Labels | None = field(repr=False, default=None, kw_only=True)
     # 1 where columns run east and rows south, -1 where they run west and north, by the labels
     axes: tuple[float, float] = field(init=False, repr=False, default=(1.0, 1.0))
     # heights [length] of a map that is not computed yet, a dask.array (rows, cols), nan where masked
@@ -110,21 +112,13 @@ class Scene:
     # by how much float32 rounds the depths that were given, if more than ROUNDED and than it need [spacings]
     rounding: float = field(init=False, repr=False, default=0.0)
     _from_least: Scene | None = field(init=False, repr=False, default=None)  # see under_sky()
-    # labels of a depth that has none of its own: they stay where a field of the scene is replaced
-    _labels: Labels | None = field(default=None, repr=False, kw_only=True)
 
     def __post_init__(self) -> None:
         given, height = (self.depth.values, True) if isinstance(self.depth, _Heights) else (self.depth, False)
         what = "height" if height else "depth"
         own = labels_of(given)
-        labels = own or self._labels
-        _set(
-            self,
-            labels=labels,
-            _labels=labels,
-            spacing=positive_number(self.spacing, "spacing"),
-            axes=axes_of(labels),
-        )
+        labels = own or self.labels
+        _set(self, labels=labels, spacing=positive_number(self.spacing, "spacing"), axes=axes_of(labels))
         one_of(self.sides, tuple(SIDES), "sides")
         maps = getattr(self.reflectance, "labels", {})
         for name, beside in [("mask", self.mask), ("albedo", self.albedo), *maps.items()]:
@@ -135,6 +129,8 @@ class Scene:
         there = _on_device(given)
         values: Any = as_real(given, what) if there is None else None
         shape = there.shape if there is not None else values.shape
+        if labels is not None and not labels.are_of(shape):
+            raise bad("labels", "those of another map", f"coordinates of shape {shape}", "Pass labels=None.")
         if own is not None and not height:
             check_spacing(self.spacing, own)
         mask = _mask(self.mask, shape)
@@ -467,9 +463,13 @@ def _count_from_least(scene: Scene, values: np.ndarray, rounding: float) -> None
         return
     with np.errstate(invalid="ignore"):  # where masked
         near = Scene(
-            values - least, scene.spacing, mask=scene.mask, sides=scene.sides, reflectance=scene.reflectance
+            values - least,
+            scene.spacing,
+            mask=scene.mask,
+            sides=scene.sides,
+            reflectance=scene.reflectance,
+            labels=scene.labels,
         )
-    _set(near, labels=scene.labels, axes=scene.axes)
     _set(scene, rounding=rounding, _from_least=near)
 
 

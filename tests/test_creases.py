@@ -19,10 +19,9 @@ def test_a_ridge_by_hand(fast):
     ground, pi / sqrt(1 + 1/4) as a face foreshortens it. Two nodes away there is no error.
     """
     made = problem(fast, sl.Sky(), SHAPE, azimuths=64)
-    for z, across in ((5 + 0.5 * abs(X - 8), (0, 1)), (5 + 0.5 * abs(Y - 6), (1, 0))):
-        (error,) = errors_at_creases(made, z, False)
-        at = 8 if across == (0, 1) else 6
-        error = error if across == (0, 1) else error.T
+    for across, at in ((X, 8), (Y, 6)):
+        (error,) = errors_at_creases(made, 5 + 0.5 * abs(across - at), False)
+        error = error if across is X else error.T
         np.testing.assert_allclose(error[1:-1, at], np.pi * (1 - 1 / np.sqrt(1.25)), rtol=2e-3)
         assert abs(np.delete(error, [at - 1, at, at + 1], 1)).max() < 1e-5
 

@@ -245,6 +245,9 @@ def test_a_scene_with_a_field_replaced_keeps_its_north(dem, fast):
         sl.render(one, light[0], **light[1]).image for one in (again, sl.Scene.from_height(up, sides="dark"))
     )
     xr.testing.assert_identical(image, wanted)
+    with pytest.raises(sl.InputError, match="labels: got those of another map"):
+        dataclasses.replace(scene, depth=scene.depth[2:])
+    assert dataclasses.replace(scene, depth=scene.depth[2:], labels=None).labels is None
 
 
 def test_the_zenith_of_a_map_is_one_place():
