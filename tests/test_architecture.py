@@ -232,12 +232,18 @@ def test_kernels_are_launched_where_contributing_says():
     assert told == real
 
 
-def test_warnings_are_decided_where_contributing_says():
-    """Every name in its table of warnings is defined or used in a file that is named with it."""
+def rows_of_warnings():
+    """The rows of CONTRIBUTING.md's table of warnings."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| .+$", text.split("decides on a warning")[1].split("\n\n")[1], re.MULTILINE)[1:]
+    assert len(rows) >= 13
+    return rows
+
+
+def test_warnings_are_decided_where_contributing_says():
+    """Every name in its table of warnings is defined or used in a file that is named with it."""
     missing = []
-    for row in rows:
+    for row in rows_of_warnings():
         cells = row.split("|")[2:4]
         code = [(ROOT / name).read_text(encoding="utf-8") for name in re.findall(r"`(host/[\w/]+\.py)`", row)]
         for name in re.findall(r"`([\w.]+)`", " ".join(cells)):
@@ -246,8 +252,37 @@ def test_warnings_are_decided_where_contributing_says():
                 re.search(rf"^\s*(?:def {last}\b|{last}\b.*=)|\b{last}:", file, re.MULTILINE) for file in code
             ):
                 missing.append(name)
-    assert len(rows) >= 13
     report("names that are not there", missing)
+
+
+def texts(tree, inside=""):
+    """(function, text) of all literals below a node of the syntax tree; of an f-string what comes first."""
+    for child in ast.iter_child_nodes(tree):
+        if isinstance(child, ast.JoinedStr):
+            child = child.values[0]
+        if isinstance(child, ast.Constant) and isinstance(child.value, str):
+            yield inside, child.value
+        yield from texts(child, child.name if isinstance(child, ast.FunctionDef) else inside)
+
+
+def test_every_warning_is_in_both_tables():
+    """What messages.md lists is said somewhere, by a function that CONTRIBUTING.md names with its file."""
+    listed = (ROOT / "docs" / "reference" / "messages.md").read_text(encoding="utf-8").split("## Errors")[0]
+    cells = re.findall(r"^\| (`[^|]+) \|", listed, re.MULTILINE)
+    begins = {word for cell in cells for word in re.findall(r"`([A-Z8][^`]+)`", cell)}
+    assert len(begins) > 30
+    recipes, said, missing = rows_of_warnings(), set(), []
+    for path in sorted((ROOT / "host").rglob("*.py")):
+        for function, text in texts(ast.parse(path.read_text(encoding="utf-8"))):
+            found = {word for word in begins if re.match(rf"{re.escape(word)}\b", text)}
+            said |= found
+            place = str(path.relative_to(ROOT))
+            named = any(place in row and re.search(rf"\b{function}`", row) for row in recipes)
+            warning = re.match(r"[A-Z8][\w -]{2,29}: ", text) or found and " " in text
+            if warning and bool(found) != named and function and "\n" not in text:
+                missing.append(f"{place} {function}: {text}")
+    report("warnings that one table lacks", missing)
+    report("warnings of messages.md that nothing says", sorted(begins - said))
 
 
 def definitions(tree, prefix=""):

@@ -167,7 +167,7 @@ def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> t
             f"{path}: no transform",
             "control points alone",
             "a transform from rows and columns to the ground",
-            "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
+            "Warp it first, by rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     if _south_up(transform):
         values, mask = values[::-1], mask[::-1]
@@ -188,7 +188,7 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Ras
             f"{path}: turned grid",
             f"transform {tuple(t)[:6]}",
             "rows from west to east",
-            "Warp it first: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
+            "Warp it first, by rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     east, north = _metres(path, raster)
     vertical = metres_in(unit)
@@ -293,7 +293,7 @@ def _metres(path: Path, raster: Raster) -> tuple[float, float]:
             f"{path}: cells in degrees that change their width",
             f"latitudes {bottom:.4g} to {top:.4g}",
             "a map so low that a degree's length changes by at most 2 %",
-            "Warp it to a metric system: rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
+            "Warp it to a metric system, by rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     return east * lengths[1][0], north * lengths[1][1]
 
