@@ -18,7 +18,8 @@ lamp and the spotlight; OUT/doubt_drawn.csv.
 
 Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others. Those
 of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; CREASE_WEIGHT
-and CORRECTED_WEIGHT with these and all fifteen surfaces. 16 and beyond were drawn afterwards.
+and CORRECTED_WEIGHT with these and all fifteen surfaces, and with regard to 16 to 47. 48 and beyond were
+drawn afterwards.
 """
 
 from __future__ import annotations

@@ -282,7 +282,8 @@ def test_every_warning_is_in_both_tables():
             if warning and bool(found) != named and function and "\n" not in text:
                 missing.append(f"{place} {function}: {text}")
     report("warnings that one table lacks", missing)
-    report("warnings of messages.md that nothing says", sorted(begins - said))
+    put_together = {"Open sides", "Periodic sides", "Small window"}  # of two words at run time
+    report("warnings of messages.md that nothing says", sorted(begins - said - put_together))
 
 
 def definitions(tree, prefix=""):

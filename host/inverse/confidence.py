@@ -44,8 +44,8 @@ FINER_WEIGHT, RIVAL_WEIGHT, UNEVEN_WEIGHT = 1.2, 1.0, 1.4
 # which creases move depth. By performance/doubt.py 88, 98 and 99 % of the true depths are then within 1, 2
 # and 3 std; with half of the first 87, 97 and 99 %, and fewer than 9 of 10 within 2 on a smooth surface; with
 # twice 91, 98 and 99 %. With half of the second 83, 93 and 97 instead of 86, 95 and 98 % on drawn surfaces
-# that no constant was chosen with; with twice 89, 96 and 98 %, but of the other surfaces' pixels that are
-# right within 2 nodes 18 instead of 14 % are marked
+# (16 to 47); with twice 89, 96 and 98 %, but of the other surfaces' pixels that are right within 2 nodes 18
+# instead of 14 % are marked
 CORRECTED_WEIGHT, CREASE_WEIGHT = 0.5, 0.5
 # surfaces that are refitted from disturbed ones; weight of the rms of their distances; rms of the
 # disturbances over the range of depths, under a sky and under a lamp or window. By performance/doubt.py
