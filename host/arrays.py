@@ -227,8 +227,10 @@ METRES = {
     ),
 }
 ANGLE = re.compile(r"°|deg|arc|rad|gon\b")  # in units of angle, as CF and others spell them
-ANGLES = ("lat", "lon", "latitude", "longitude", "grid_latitude", "grid_longitude")  # names of coordinates
-UNEVEN = 0.01  # of the spacing, by which it may differ along an axis or between both: slopes have that error
+# names of coordinates
+ANGLE_NAMES = ("lat", "lon", "latitude", "longitude", "grid_latitude", "grid_longitude")
+# of the spacing, by which it may differ along an axis or between both: slopes have that error
+LENGTH_TOLERANCE = 0.01
 
 
 def metres_in(unit: str) -> float | None:
@@ -256,7 +258,7 @@ def spacing_of(labels: Labels | None) -> float:
         unit = str(coordinate.attrs.get("units", "")).lower() or system[0]
         names = {str(name).lower(), str(coordinate.attrs.get("standard_name", "")).lower()}
         here, high = metres_in(unit), metres_in(vertical)
-        if ANGLE.search(f"{unit} {system[0]}") or not here and names & set(ANGLES):
+        if ANGLE.search(f"{unit} {system[0]}") or not here and names & set(ANGLE_NAMES):
             raise bad(
                 f"spacing by the coordinate {name!r}",
                 "degrees",
@@ -282,7 +284,7 @@ def spacing_of(labels: Labels | None) -> float:
     differences = np.concatenate([*steps, np.zeros(0)])
     if not differences.size:
         return 1.0
-    if not differences.max() * (1 - UNEVEN) <= differences.min() or not differences.min() > 0:
+    if not differences.max() * (1 - LENGTH_TOLERANCE) <= differences.min() or not differences.min() > 0:
         raise bad(
             "spacing by coordinates",
             f"steps of {differences.min():g} to {differences.max():g}",
@@ -340,7 +342,7 @@ def _stretch(labels: Labels) -> float:
 
 def stretched(stretch: float) -> str | None:
     """What to say of a map whose lengths are ``stretch`` times those on the ground; None within 1 %."""
-    if abs(stretch - 1) <= UNEVEN:
+    if abs(stretch - 1) <= LENGTH_TOLERANCE:
         return None
     return (
         f"Projection: lengths on this map are {stretch:.3g} times those on the ground, so slopes and shadows"
@@ -397,7 +399,7 @@ def _is_curved(labels: Labels, name: Hashable) -> bool:
     """Whether a coordinate tells a place for every node, not one along an axis."""
     coordinate = labels.coords[name]
     told = {str(name).lower(), str(coordinate.attrs.get("standard_name", "")).lower()}
-    return coordinate.dims == labels.dims[-2:] and bool(told & {*ALONG_X, *ANGLES})
+    return coordinate.dims == labels.dims[-2:] and bool(told & {*ALONG_X, *ANGLE_NAMES})
 
 
 def _grows(labels: Labels, name: Hashable) -> float:

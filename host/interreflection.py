@@ -34,7 +34,7 @@ CHECKED = 144
 # nodes that these are chosen from, half evenly, half in proportion to the square of the light that they send
 # to themselves; and that decide once the direct light is known. Derived: a region of 3 / 2^15 of the nodes is
 # missed in 5 % of all cases, and the RMS error is 0.5 % where it lacks half of the mean light
-CANDIDATES = 2**15
+CHECKED_FROM = 2**15
 # azimuths of the share of sky that decides, where the source is no uniform sky; side [node] of blocks: the
 # ground that lights a node lies in its own block or in one beside it. Both chosen
 DECIDING_AZIMUTHS, NEAR_ALBEDO = 4, 8
@@ -50,14 +50,14 @@ SKY_ERROR, CHECK_ERROR = 0.4, 0.15
 # the same of the share of sky among cliffs, where the error of azimuths is some three times that on rough
 # ground, and rows within which every crossing is tested there, as for the direct light
 CLIFF_SKY_ERROR, FINE_NEAR = 0.12, 24
-COARSE = Round(8, 4, 4, 0.25)
+COARSE_ROUND = Round(8, 4, 4, 0.25)
 # [tolerance] light between surfaces up to which rounds begin with the first level, else with the second;
 # chosen: ESTIMATE_SHARE over the first one's error, which is 1 to 7 % of this light on ground without cliffs
 # and 5 to 31 % among cliffs (performance/interreflection.py --first). Half and twice: 5 % less and 6 % more
 # time on 17 surfaces
 FIRST_LEVEL = 10
 # a round of each level, after the coarse ones
-LEVELS = (
+FINE_ROUNDS = (
     Round(8, 2, 4, 0.25),
     Round(16, 2, 4, 0.18),
     Round(8, 1, 4, 0.18),
@@ -73,7 +73,7 @@ CLIFF_ERROR, CLIFF_SHARE = 0.04, 0.2
 CLIFF_NEAR, CLIFF_ROUNDS = 16, 2
 # from this level on, one that leaves more than this share of the error is the last: more azimuths
 # do not reduce the rest
-GAINED_FROM, GAIN = 4, 0.9
+GAINED_FROM, GAINED_SHARE = 4, 0.9
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def share_everywhere(
     dark = scene.sides == "dark"  # whose walls hide sky and send no light
     if dark or not samples.relief > 0 or brightness is not None and not max(brightness) > 0:
         return 0.0
-    samples = spread_more(samples, scene, CANDIDATES)
+    samples = spread_more(samples, scene, CHECKED_FROM)
     lights = [_at(samples, image) for image in direct]
     if brightness is None:
         sectors = even(DECIDING_AZIMUTHS, OFFSET)
@@ -232,7 +232,7 @@ def choice(interreflection: bool | str, share: float | None, tolerance: float) -
         return ("included" if interreflection and share != 0 else "left out"), f"as asked; {why}"
     if share is not None and not is_needed(share, tolerance):
         return "left out", why
-    last = LEVELS[_first_level(share or 0.0, tolerance)]
+    last = FINE_ROUNDS[_first_level(share or 0.0, tolerance)]
     return "included", f"{why}; coarse rounds, then {last.azimuths} azimuths at every 2nd node"
 
 
@@ -307,15 +307,15 @@ def included(
     bounces = Bounces(engine, scene, samples, lights, shares, sky)
     check = _Check(bounces, lights, shares, sky, weights, error, is_uniform, is_part)
     coarse = check.coarse_rounds(tolerance)
-    bounces.run([COARSE] * coarse)
+    bounces.run([COARSE_ROUND] * coarse)
     done, level, before = coarse, _first_level(check.share, tolerance), math.inf
     while True:
         rounds = _rounds(level, has_cliffs)
         bounces.run(rounds)
         done += len(rounds)
         total, rms_errors = check.errors(_azimuths(CHECK_ERROR * tolerance))
-        useless = level >= GAINED_FROM and total > GAIN * before
-        if total <= ESTIMATE_SHARE * tolerance or level + 1 == len(LEVELS) or useless:
+        useless = level >= GAINED_FROM and total > GAINED_SHARE * before
+        if total <= ESTIMATE_SHARE * tolerance or level + 1 == len(FINE_ROUNDS) or useless:
             break
         before, level = total, level + 1
     last = rounds[-1]
@@ -349,7 +349,7 @@ def _choose_checked(
     sky: np.ndarray | DeviceImage,
 ) -> np.ndarray:
     """Move the samples to CHECKED of many nodes; the weights of these, by which they stand for all."""
-    many = spread_more(samples, scene, CANDIDATES)
+    many = spread_more(samples, scene, CHECKED_FROM)
     if len(many) <= CHECKED:
         return np.ones(len(samples))
     seen, likely = _at(many, sky), np.zeros(len(many))
@@ -368,7 +368,7 @@ def _choose_checked(
 
 def _rounds(level: int, has_cliffs: bool) -> tuple[Round, ...]:
     """Rounds of a level."""
-    this = LEVELS[level]
+    this = FINE_ROUNDS[level]
     if not has_cliffs:
         return (this,)
     near = this._replace(near=max(this.near, CLIFF_NEAR))

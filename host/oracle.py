@@ -346,7 +346,7 @@ def carve(
 
 AT_A_NODE = 1e-9  # nodes; a crossing this near to a node is at the node, so that rounding loses no neighbour
 # tangent; on a map that repeats, ground that may rise less than this above a node is not looked for
-LEVEL = 0.002
+LEVEL_SLOPE = 0.002
 
 
 def _split(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -386,8 +386,8 @@ def horizons(
     depth (rows, cols) [length], not finite where masked; ``azimuths`` [rad] from +x (columns) towards +y
     (rows); ``nodes``: (row indices, column indices). Every crossing of the azimuth's vertical plane with a
     row or a column counts, up to ``max_distance`` [length]; of a map that repeats, to where its relief is
-    LEVEL high, or one lap. Dark: at least depth / distance of the wall half a node outside. -inf: no ground
-    that way; nan: masked node.
+    LEVEL_SLOPE high, or one lap. Dark: at least depth / distance of the wall half a node outside. -inf: no
+    ground that way; nan: masked node.
     """
     surface = np.where(np.isfinite(depth), depth, np.nan).astype(float)
     row, col = (np.ravel(index) for index in (np.indices(surface.shape) if nodes is None else nodes))
@@ -397,7 +397,7 @@ def horizons(
     if sides != "periodic":
         reach = min(reach, math.hypot(*surface.shape))
     elif math.isinf(reach):
-        reach = max(math.hypot(*surface.shape), (bottom - top) / (LEVEL * spacing))
+        reach = max(math.hypot(*surface.shape), (bottom - top) / (LEVEL_SLOPE * spacing))
     out = np.full((len(azimuths), len(row)), -np.inf)
     for slopes, azimuth in zip(out, azimuths):
         x, y = (0.0 if abs(part) < 1e-12 else part for part in (math.cos(azimuth), math.sin(azimuth)))
@@ -608,7 +608,7 @@ def strips(
     own, normal, top = height[row, col], normals(depth, spacing, valid, sides)[row, col], height.max()
     reach = math.hypot(rows, cols)
     if sides == "periodic":
-        reach = max(reach, (top - height[valid].min()) / LEVEL)
+        reach = max(reach, (top - height[valid].min()) / LEVEL_SLOPE)
     shares, sky = np.zeros((len(row), rows * cols)), np.zeros(len(row))
     share = 2 / len(azimuths)
     for azimuth in azimuths:

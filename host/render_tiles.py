@@ -46,7 +46,7 @@ PART_NEAR_ROWS = 96
 # azimuths in which windows of tiles estimate the light between surfaces, with an error of 0.003 in the share
 # of sky; and the part of a window at each of its sides that is left out, since ground beyond is missing;
 # chosen
-WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
+DECIDING_WINDOW_AZIMUTHS, WINDOW_EDGE = 16, 8
 # azimuths, and sectors of each small bright part, of the exact light that an image in tiles is held against;
 # chosen: with twice and four times as many the errors that ten tiles are said to have change by a tenth at
 # most
@@ -446,7 +446,7 @@ def _tile_image(
         between,
         scale,
         max(len(greys), 3 if np.ndim(scene.albedo) in (1, 3) else 1),
-        tuple(_rays_of(sky, Azimuths(WINDOW_AZIMUTHS)) for sky in skies),
+        tuple(_rays_of(sky, Azimuths(DECIDING_WINDOW_AZIMUTHS)) for sky in skies),
         ()
         if options.azimuths is not None
         else tuple(_rays_of(sky, even(JUDGING_AZIMUTHS, 1 / 3), JUDGING_SECTORS) for sky in skies),

@@ -65,7 +65,7 @@ COARSE_LOBE = 1.2
 # or noise .2 to .4 (.07 to .14), by 1 .6 to 2.2; smooth skies .2 to .3 (.09 to .2); windows, spheres with a
 # step or stripes .3 to .9 (.09 to .8, beyond .3 with a warning), by 1 .9 to 7.0 (performance/lobes.py)
 LOBE_FINENESS = 0.5, 1, 3, 8
-DISC_POINTS = 2  # of a sun's disc in a lobe, times the fineness; chosen
+LOBE_DISC_POINTS = 2  # of a sun's disc in a lobe, times the fineness; chosen
 # of the tolerance that rays may take which look for ground in lobes; chosen: errors add by squares, and
 # estimates of the other light take up to 0.85
 LOBE_SHARE = 0.5
@@ -265,7 +265,7 @@ class Renderer:
         table, suns, flux = blurred(sources.without_disc(grey), lobe.spread, math.ceil(fineness / 2))
         brightness = sources.distribution_of(grey)
         if brightness is not None and (disc := brightness.disc()) is not None:
-            count = math.ceil(DISC_POINTS * fineness)
+            count = math.ceil(LOBE_DISC_POINTS * fineness)
             suns = np.concatenate([suns.reshape(-1, 3), disc.points(count)])
             flux = np.append(flux, np.full(count, disc.irradiance / count))
         slices = Slices(there, scene.sides, Dome(reach), table, lobe=lobe, fineness=fineness)

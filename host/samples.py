@@ -17,6 +17,7 @@ import numpy as np
 from . import sources
 from .backends.base import Array, Backend
 from .constants import NONE, STEEP
+from .light.far import CLIFF
 from .scene import Scene
 from .sources.integrals import R2_STEPS, Integrals, even
 from .sources.solids import Ball, Quad
@@ -27,9 +28,6 @@ SAMPLE_COUNT = 384
 # rays of samples on a periodic map end where its whole relief would rise at this slope: ground farther away
 # hides at most 1.3e-5 of a uniform sky's E / pi
 SAMPLED_SLOPE = 0.005
-# difference in height [spacings] of neighbouring nodes that is called a cliff: two crossings are too few
-# behind it (host/backends/numpy/horizon.py)
-CLIFF = 4.0
 CHORD_POINTS = 48  # of brightness along a chord; chosen
 # traced arrays (azimuths, nodes) that a scene keeps; chosen: slopes and light of four sets of azimuths, at
 # most 12 MB

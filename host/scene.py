@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .arrays import (
-    UNEVEN,
+    LENGTH_TOLERANCE,
     Labels,
     as_promised,
     axes_of,
@@ -509,7 +509,7 @@ def check_spacing(spacing: float, labels: Labels) -> None:
         return
     with contextlib.suppress(InputError):  # coordinates that are no lengths
         found = spacing_of(labels)
-        if abs(found - 1) > UNEVEN:
+        if abs(found - 1) > LENGTH_TOLERANCE:
             warnings.warn(
                 f"Spacing: 1 is taken, and the coordinates are {found:g} apart. Give spacing={found:g}, in"
                 " the unit of depth.",

@@ -206,8 +206,8 @@ def error_and_share(scene, source, engine, levels):
         azimuths=128 if isinstance(source, sl.Sky) else None,
         interreflection=False,
     )
-    kept = {name: getattr(interreflection, name) for name in ("LEVELS", "CLIFF_SHARE", "FIRST_LEVEL")}
-    interreflection.LEVELS, interreflection.CLIFF_SHARE = kept["LEVELS"][:levels], math.inf
+    kept = {name: getattr(interreflection, name) for name in ("FINE_ROUNDS", "CLIFF_SHARE", "FIRST_LEVEL")}
+    interreflection.FINE_ROUNDS, interreflection.CLIFF_SHARE = kept["FINE_ROUNDS"][:levels], math.inf
     interreflection.FIRST_LEVEL = math.inf  # all begin with the first
     try:
         record = interreflection.included(scene, engine, [light.image], 1e-5, "").record
@@ -219,7 +219,7 @@ def error_and_share(scene, source, engine, levels):
 
 def cliffs(engine):
     """Errors of rounds up to 16 azimuths at every node without regard for cliffs, on plains with houses."""
-    levels = 1 + next(n for n, this in enumerate(interreflection.LEVELS) if this[:2] == (16, 1))
+    levels = 1 + next(n for n, this in enumerate(interreflection.FINE_ROUNDS) if this[:2] == (16, 1))
     for count in (1, 4, 16, 64):
         rng, height = np.random.default_rng(count), np.zeros((160, 160))
         for _ in range(count):

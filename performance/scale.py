@@ -112,19 +112,22 @@ def errors(name, heights, tile, backend):
     options = dict(azimuths=AZIMUTHS, backend=backend)
     few = dict(options, azimuths=SLOPE_AZIMUTHS)
     whole, slopes = sl.sky_view_factor(scene, **options), sl.horizons(scene, **few)
-    variants = [(text, tiling, counts, far.SHARE, far.SPARSE) for text, tiling, counts in tilings(tile)]
+    variants = [
+        (text, tiling, counts, far.TOWARDS_MAXIMUM, far.SPARSE) for text, tiling, counts in tilings(tile)
+    ]
     usual = sl.Tiling(tile)
     variants += [(f"means + {share:g} (maxima - means)", usual, True, share, far.SPARSE) for share in (0, 1)]
     variants += [
-        (f"marched every {128 // sparse} nodes", usual, True, far.SHARE, sparse) for sparse in (2, 8)
+        (f"marched every {128 // sparse} nodes", usual, True, far.TOWARDS_MAXIMUM, sparse)
+        for sparse in (2, 8)
     ]
-    kept = far.SHARE, far.SPARSE
+    kept = far.TOWARDS_MAXIMUM, far.SPARSE
     for text, tiling, counts, share, sparse in variants:
-        far.SHARE, far.SPARSE = np.float32(share), sparse
+        far.TOWARDS_MAXIMUM, far.SPARSE = np.float32(share), sparse
         reach = dict() if counts else dict(max_distance=float(tiling.halo))
         error = sl.sky_view_factor(scene, tiling=tiling, **options, **reach) - whole
         apart = np.arctan(sl.horizons(scene, tiling=tiling, **few, **reach)) - np.arctan(slopes)
-        far.SHARE, far.SPARSE = kept
+        far.TOWARDS_MAXIMUM, far.SPARSE = kept
         jumps = np.abs(np.diff(error, axis=1)).mean(0)
         seams = np.arange(tile, heights.shape[1], tile) - 1
         row = (

@@ -5,7 +5,7 @@ Functions, classes and lines are no longer than it says.
 
 import ast
 import re
-from collections import deque
+from collections import defaultdict, deque
 from pathlib import Path
 from typing import NamedTuple
 
@@ -282,8 +282,36 @@ def test_every_warning_is_in_both_tables():
             if warning and bool(found) != named and function and "\n" not in text:
                 missing.append(f"{place} {function}: {text}")
     report("warnings that one table lacks", missing)
-    put_together = {"Open sides", "Periodic sides", "Small window"}  # of two words at run time
+    put_together = {  # at run time
+        "Open sides",
+        "Periodic sides",
+        "Small window",
+        "Image brighter than the model can make it",
+    }
     report("warnings of messages.md that nothing says", sorted(begins - said - put_together))
+
+
+def constants_of(tree):
+    """Names of the constants that a module defines."""
+    for node in tree.body:
+        if not isinstance(node, (ast.Assign, ast.AnnAssign)) or node.value is None:
+            continue
+        for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+            names = target.elts if isinstance(target, ast.Tuple) else [target]
+            for name in names:
+                if isinstance(name, ast.Name) and re.fullmatch(r"[A-Z][A-Z0-9_]+", name.id):
+                    yield name.id
+
+
+def test_a_constant_has_a_name_of_its_own():
+    """No two modules of host/ give one name to different constants."""
+    places = defaultdict(list)
+    for path in sorted((ROOT / "host").rglob("*.py")):
+        if "numpy" not in path.parts:  # kernels: float32 copies of what host/constants.py holds
+            for name in constants_of(ast.parse(path.read_text(encoding="utf-8"))):
+                places[name].append(str(path.relative_to(ROOT)))
+    assert len(places) > 400
+    report("names of several constants", [f"{name}: {at}" for name, at in places.items() if len(at) > 1])
 
 
 def definitions(tree, prefix=""):

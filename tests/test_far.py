@@ -10,7 +10,17 @@ from skylamp import oracle
 from skylamp.backends import select
 from skylamp.errors import InputError
 from skylamp.light import far as fields
-from skylamp.light.far import SHARE, Far, Tiling, around, coarser, from_heights, in_spacings, scaled, top_of
+from skylamp.light.far import (
+    TOWARDS_MAXIMUM,
+    Far,
+    Tiling,
+    around,
+    coarser,
+    from_heights,
+    in_spacings,
+    scaled,
+    top_of,
+)
 from skylamp.light.sweeps import Rays, Sweeps, ground_of
 from skylamp.scene import Scene
 
@@ -101,7 +111,7 @@ def test_oracle_finds_a_far_wall():
     """
     height = np.zeros((4, 256))
     height[:, 192:] = 30
-    east, west = oracle.far_horizons(height, [0.0, math.pi], 16, 8, 2, float(SHARE))
+    east, west = oracle.far_horizons(height, [0.0, math.pi], 16, 8, 2, float(TOWARDS_MAXIMUM))
     for x in (0, 7, 100, 150):
         assert 30 / (192 - x + 16) <= east[1, x] <= 30 / (192 - x - 16)
     assert west[1, 100] == 0 and west[1, 8] == -np.inf
@@ -114,17 +124,17 @@ def test_oracle_sees_a_ramp_as_it_is():
     """
     g, rule = 0.5, 8
     height = np.outer(np.ones(8), g * np.arange(300))
-    east, west = oracle.far_horizons(height, [0.0, math.pi], 16, rule, 1, float(SHARE))
+    east, west = oracle.far_horizons(height, [0.0, math.pi], 16, rule, 1, float(TOWARDS_MAXIMUM))
     seen = east[:, :280]
-    assert (seen >= g - 1e-9).all() and (seen <= g * (1 + float(SHARE) / 2 / rule)).all()
+    assert (seen >= g - 1e-9).all() and (seen <= g * (1 + float(TOWARDS_MAXIMUM) / 2 / rule)).all()
     # downhill too, less what maxima add, and half a cell at the border, where ground goes on level
     west = west[:, 20:]
-    assert (west >= -g).all() and (west <= -g * (1 - (1 + float(SHARE)) / 2 / rule)).all()
+    assert (west >= -g).all() and (west <= -g * (1 - (1 + float(TOWARDS_MAXIMUM)) / 2 / rule)).all()
 
 
 def test_oracle_lets_the_ground_fall_off():
     """On level ground that falls off with distance^2 the horizon is the nearest sample's: - drop x halo."""
-    found = oracle.far_horizons(np.zeros((6, 90)), [0.0], 16, 8, 2, float(SHARE), drop=1e-3)
+    found = oracle.far_horizons(np.zeros((6, 90)), [0.0], 16, 8, 2, float(TOWARDS_MAXIMUM), drop=1e-3)
     np.testing.assert_allclose(found[0, :, :70], -0.016, rtol=1e-12)
 
 
@@ -136,7 +146,7 @@ def test_far_horizons_are_the_oracles(backend):
     """
     engine, heights = select(backend), ridges(75, 101)
     angles = 2 * np.pi * (np.arange(5) + 0.3) / 5
-    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE))
+    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM))
     for at, tile in (((16, 32), (16, 16)), ((64, 80), (11, 21)), ((0, 0), (75, 101))):
         window, far = far_of(heights, FINE, at, tile)
         box = tuple(slice(b, b + n) for b, n in zip(far.before, tile))
@@ -165,7 +175,7 @@ def test_far_horizons_between_marched_nodes(backend, spread):
     assert tiling.spread == spread
     heights = ridges(2 * 64 + 5, 3 * 64 + 3)
     angles = np.array([0.4, 2.9, 5.0])
-    truth = oracle.far_horizons(heights, angles, tiling.halo, tiling.rule, spread, float(SHARE))
+    truth = oracle.far_horizons(heights, angles, tiling.halo, tiling.rule, spread, float(TOWARDS_MAXIMUM))
     at, tile = (64, 128), (69, 67)
     window, far = far_of(heights, tiling, at, tile)
     found = planes_of(engine, window, far, angles)[(slice(None), *map(slice, far.before, window.shape))]
@@ -181,7 +191,7 @@ def test_far_horizons_pass_over_gaps(backend):
     heights[10:30, 40:70] = np.nan
     heights[50, 3] = heights[20, 20] = np.nan
     angles = np.array([0.1, 1.9, 4.0])
-    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE))
+    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM))
     for at in ((16, 16), (48, 0), (16, 48)):
         window, far = far_of(heights, FINE, at, (16, 16))
         found = planes_of(engine, window, far, angles)[(slice(None), *(slice(b, b + 16) for b in far.before))]
@@ -196,7 +206,7 @@ def test_far_horizons_go_round_a_map_that_repeats(backend):
     """Up to the farthest distance, over several laps; the map's sides are whole cells."""
     engine, heights = select(backend), ridges(64, 96)
     angles = np.array([0.2, 2.2, 3.7])
-    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE), True, 200.0)
+    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM), True, 200.0)
     window, far = far_of(heights, FINE, (0, 80), (16, 16), True, 200.0)
     found = planes_of(engine, window, far, angles)[:, 8:24, 8:24]
     _same(found, truth[:, :16, 80:96])
@@ -207,8 +217,10 @@ def test_round_earth_and_farthest_ground(backend, drop):
     """drop and farthest change slopes as the oracle says, also where the map is upside down."""
     engine, heights = select(backend), ridges(48, 160)
     angles = np.array([0.05, 3.1])
-    plain = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE))
-    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(SHARE), farthest=40.0, drop=drop)
+    plain = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM))
+    truth = oracle.far_horizons(
+        heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM), farthest=40.0, drop=drop
+    )
     window, far = far_of(heights, FINE, (16, 64), (16, 16), farthest=40.0, drop=drop)
     found = planes_of(engine, window, far, angles)[:, 8:24, 8:24]
     _same(found, truth[:, 16:32, 64:80])

@@ -118,8 +118,8 @@ def test_light_beyond_radiance_is_refused(tmp_path):
     for most in (2e38, 1e300, 255.5 * 2.0**119):
         refused("too bright for a Radiance picture", io.write, tmp_path / "a.hdr", np.full((2, 9), most))
     assert not list(tmp_path.iterdir())
-    io.write(tmp_path / "a.hdr", np.array([[hdr.BRIGHTEST, 0.0, 5e-324]]))
-    np.testing.assert_array_equal(io.read(tmp_path / "a.hdr"), [[hdr.BRIGHTEST, 0, 0]])
+    io.write(tmp_path / "a.hdr", np.array([[hdr.BRIGHTEST_RGBE, 0.0, 5e-324]]))
+    np.testing.assert_array_equal(io.read(tmp_path / "a.hdr"), [[hdr.BRIGHTEST_RGBE, 0, 0]])
 
 
 def test_exposure_and_colour_correction(tmp_path):

@@ -432,7 +432,7 @@ def test_a_ray_without_end_is_free_above_the_horizon(sides):
     for n, (row, col) in enumerate(zip(*nodes)):
         got = oracle.unblocked(depth, 2.0, row, col, L, np.full(len(L), np.inf), sides)
         sure = abs(elevation - horizon[:, n]) > 1e-9
-        sure &= (elevation > oracle.LEVEL) | (sides == "open")
+        sure &= (elevation > oracle.LEVEL_SLOPE) | (sides == "open")
         assert_bits_equal(got[sure], (elevation > horizon[:, n])[sure])
         seen += got.sum()
     assert 0.2 < seen / (5 * len(L)) < 0.8

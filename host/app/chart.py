@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 CLASSES = ("smooth", "rough", "urban", "lamp", "sun", "window", "albedo")
 INVERSE = "inverse"  # the class of points of recover(): error is RMSE in layers, ``surface`` a name
-ALBEDO = 0.8  # of class "albedo", whose light between surfaces counts
+BRIGHT_ALBEDO = 0.8  # of class "albedo", whose light between surfaces counts
 SUN = ((135.0, 35.0), 3.0)  # [degree] azimuth and elevation of class "sun"; irradiance, zenith brightness 1
 TOLERANCES = (0.03, 0.01, 0.003)
 NODES, FIRST = 300, 100_003  # at which errors are taken; other nodes than a plan's samples
@@ -46,7 +46,7 @@ SUN_METHODS = [(method, n) for method, n in SKY_METHODS if method in ("horizon",
 # with which the exact light between surfaces is found: measured on 128 x 128 nodes, twice the fine rounds and
 # twice the azimuths differ by 0.03 % of the mean
 EXACT_ROUNDS = (Round(8, 2, 8, 0.25),) * 8 + (Round(64, 1, 64, 0.05),) * 3
-EXACT_AZIMUTHS = 90
+REFERENCE_AZIMUTHS = 90
 LAMP_METHODS = (
     [("slices", s) for s in (8, 16, 32, 64, 128)]
     + [("filled", m) for m in (9, 17, 33)]
@@ -117,7 +117,7 @@ def scene_of(kind: str, size: int) -> tuple[Scene, sources.Source]:
         source = sources.Window((0.3 * size, 0.6 * size), (0.2 * size, 0.5 * size))
     elif kind == "sun":
         source = sources.Sky(cie_clear(SUN[0], direct=SUN[1]))
-    return Scene(z - z.min(), albedo=ALBEDO), source
+    return Scene(z - z.min(), albedo=BRIGHT_ALBEDO), source
 
 
 def options_of(method: str, units: int) -> Row:
@@ -152,9 +152,9 @@ def _between(scene: Scene, samples: Samples, engine: Backend) -> np.ndarray:
     """Irradiance of the samples by the ground of a scene under a uniform sky, by exact strips."""
     options: Row = {"quantity": "irradiance", "azimuths": 128, "interreflection": False}
     image = render(scene, sources.Sky(), "horizon", backend=engine.name, **options).image
-    bounces = Bounces(engine, scene, samples, [image], [ALBEDO], sky_share(scene, engine, 1e-4))
+    bounces = Bounces(engine, scene, samples, [image], [BRIGHT_ALBEDO], sky_share(scene, engine, 1e-4))
     bounces.run(EXACT_ROUNDS)
-    light: np.ndarray = bounces.at_samples(EXACT_AZIMUTHS)[0][0]
+    light: np.ndarray = bounces.at_samples(REFERENCE_AZIMUTHS)[0][0]
     return light
 
 

@@ -24,7 +24,7 @@ from . import mosaic, output
 EXAGGERATION = 4
 DEMO_LAMP = (215, 150, -45, 40)  # x, y, z, radius [nodes]
 COMPARED_AREA = slice(100, 228), slice(130, 258)  # of the sample terrain, for the comparison of backends
-STAGES = 6  # three renderings, the relief, its recovery, the comparison
+DEMO_STAGES = 6  # three renderings, the relief, its recovery, the comparison
 
 
 @dataclass
@@ -63,11 +63,11 @@ def demo(
     Returns {out, backend, pictures, seconds, compile_seconds, backends}: the captions of the pictures, the
     seconds of the three renderings, and :func:`compared`.
     """
-    stages = iter(range(1, STAGES + 1))
+    stages = iter(range(1, DEMO_STAGES + 1))
 
     def step() -> None:
         if progress:
-            progress(next(stages), STAGES)
+            progress(next(stages), DEMO_STAGES)
 
     pictures = Pictures(folder, silent)
     height, spacing = io.terrain()

@@ -52,7 +52,7 @@ COMPATIBLE = (
 # of the page of Dask, which it makes unasked: of two runs at once, both have one without a warning
 ANY_PORT = "127.0.0.1:0"
 WAIT = 30  # [s] for a scheduler, and for its first worker; chosen: Dask's own default
-BLOCK = 512  # [node], blocks of the GeoTIFF that is written
+TIFF_BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 SCRATCH_FORM = 3  # number of the scratch group's form: one more with every change of its arrays
 
 
@@ -532,8 +532,8 @@ def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
             compress="zstd",
             predictor=3,
             tiled=True,
-            blockxsize=BLOCK,
-            blockysize=BLOCK,
+            blockxsize=TIFF_BLOCK,
+            blockysize=TIFF_BLOCK,
             bigtiff="if_safer",
             num_threads="all_cpus",
         ) as file:

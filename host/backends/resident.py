@@ -10,7 +10,8 @@ import numpy as np
 from ..constants import NONE
 from .base import Array, Backend
 
-BLOCK = 512  # rows of a column that a work-item of ``survey`` owns; chosen: 32 k items on 4096 x 4096 nodes
+# rows of a column that a work-item of ``survey`` owns; chosen: 32 k items on 4096 x 4096 nodes
+SURVEYED_ROWS = 512
 LAYERS = 2**20  # up to which whole layers are compared in place of depths: their sums are exact in float32
 
 
@@ -209,9 +210,11 @@ def adopt(
 def survey(backend: Backend, depth: Array, shape: tuple[int, int], step: float = 1.0) -> Survey:
     """A pass over a map (rows x cols) float32 [length] on a device, +inf where masked."""
     rows, cols = shape
-    blocks = -(-rows // BLOCK)
+    blocks = -(-rows // SURVEYED_ROWS)
     partial = backend.empty((8, blocks, cols), np.float32)
-    backend.launch("resident", "survey", (cols, blocks), depth, partial, rows, cols, BLOCK, float(step))
+    backend.launch(
+        "resident", "survey", (cols, blocks), depth, partial, rows, cols, SURVEYED_ROWS, float(step)
+    )
     low, high, *sums = backend.download(partial).reshape(8, -1)
     broken, fractional, *rest = (float(part.sum(dtype=np.float64)) for part in sums)
     squares, pairs = (rest[0], rest[1]), (int(rest[2]), int(rest[3]))

@@ -12,7 +12,7 @@ from ..light.interreflection import Round
 from .albedo import AlbedoFit
 from .conjugate_gradients import ConjugateGradients, Depths
 from .forward import Image, Launcher, Surface
-from .ground import RAYS, STRIPS, Ground
+from .ground import GROUND_RAYS, STRIPS, Ground
 from .lights import Light
 
 FIRST_DAMPING = 1e-4  # damping of the first step, as a multiple of the diagonal
@@ -55,7 +55,7 @@ class Descent:
         high: np.ndarray | float,
         albedo_known: bool = True,
         radiances: list[np.ndarray] | None = None,
-        rays: Round = RAYS,
+        rays: Round = GROUND_RAYS,
         strips: int = STRIPS,
     ):
         self.backend, self.shape = backend, shape

@@ -22,7 +22,7 @@ AT_LIMIT, LEAST_AT_LIMIT = 0.005, 3
 # the same of pixels with an image's largest value, and times as many as have the next largest: in an image in
 # steps these are about as many. Chosen: depths from images of which 5 % are clipped err by 0.4 nodes
 CLIPPED_SHARE, LEAST_CLIPPED, CLIPPED_TIMES = 0.01, 3, 3
-LEVEL = 1e-3  # relative difference up to which the largest value is that of level open ground; chosen
+SAME_LIGHT = 1e-3  # relative difference up to which the largest value is that of level open ground; chosen
 NO_TIME = (
     "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
     " it, depth is farther off than std says."
@@ -141,7 +141,7 @@ def of_largest(image: np.ndarray, light: sources.Source, albedo: Any) -> list[st
         if np.ndim(albedo) or albedo is None:
             return []
         level = integrals(light).level if callable(light.brightness) else math.pi * number_of(light)
-        if abs(values[-1] - float(albedo) * level / math.pi) <= LEVEL * values[-1]:
+        if abs(values[-1] - float(albedo) * level / math.pi) <= SAME_LIGHT * values[-1]:
             return []
     return [
         f"Clipped: {counts[-1] / image.size:.0%} of the pixels have exactly the image's largest value, and"

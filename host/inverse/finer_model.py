@@ -18,8 +18,8 @@ from .multigrid import CLOSE, ITERATIONS
 from .pyramid import NEAREST, Pyramid, on_coarser_grid
 from .resampling import cubic
 
-FINER, AZIMUTHS = 3, 64  # refinement, azimuths
-RAYS = Round(64, 1, 64, 0.03)  # of the light between surfaces
+FINER, FINER_AZIMUTHS = 3, 64  # refinement, azimuths
+FINER_RAYS = Round(64, 1, 64, 0.03)  # of the light between surfaces
 REFITS, REFIT_STEPS = 2, 4  # fits to the finer model, and Gauss-Newton steps of each
 LEAST_VARIANCE = 1e-14  # of noise [unit of the pyramid's images, squared]: what float32 leaves
 
@@ -71,11 +71,11 @@ def _finer_model(pyramid: Pyramid, level: int) -> Descent:
         pyramid.sides,
         [
             (light, albedo / (math.pi * scale), np.zeros(shape))
-            for light, scale in zip(pyramid.lights(shape, FINER * 0.5**level, AZIMUTHS), pyramid.scales)
+            for light, scale in zip(pyramid.lights(shape, FINER * 0.5**level, FINER_AZIMUTHS), pyramid.scales)
         ],
         np.zeros(shape),
         np.full(shape, FINER * pyramid.bounds[level][1].max()),
         radiances=sent and [np.maximum(cubic(image, FINER), 0) for image in sent],
-        rays=RAYS,
+        rays=FINER_RAYS,
         strips=1,
     )

@@ -16,7 +16,7 @@ from ..light.interreflection import Round, Strips
 from .forward import BYTES_PER_LINK, DeviceArray, Image, Launcher, Surface, links_of
 from .lights import brightness_of, light_of
 
-RAYS = Round(24, 1, 8, 0.18)  # as many azimuths as of a source
+GROUND_RAYS = Round(24, 1, 8, 0.18)  # as many azimuths as of a source
 # room for links of a node in each azimuth, and for those of all nodes of an image: where it is
 # full, the last link takes in the rest. Chosen: nodes of deep relief (32 x 32 of three surfaces) took 1 to 4
 # in the mean over azimuths, one in an egg-crate all
@@ -37,7 +37,7 @@ class Ground:
         images: list[Image],
         radiances: list[np.ndarray],
         relief: float,
-        rays: Round = RAYS,
+        rays: Round = GROUND_RAYS,
         strips: int = STRIPS,
     ):
         self.launcher, self.images = launcher, images

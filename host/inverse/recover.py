@@ -33,7 +33,7 @@ from .search import OutOfTime, Rival, Search
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 MOST_LAYERS = 2**20
-CANDIDATES = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
+CANDIDATE_DEPTH = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
 MAPS = (  # fields of Recovery that are maps
     Quantity("depth", None, "depth, in the unit of spacing"),
     Quantity("std", None, "standard deviation of the depth, in the unit of spacing"),
@@ -280,7 +280,9 @@ def _labelled(done: Recovery, labels: Labels | None) -> Recovery:
         return done
     maps: dict[str, Any] = {kind.name: labelled(getattr(done, kind.name), labels, kind) for kind in MAPS}
     numbers = np.arange(len(done.candidates))
-    return replace(done, **maps, candidates=labelled(done.candidates, labels, CANDIDATES, candidate=numbers))
+    return replace(
+        done, **maps, candidates=labelled(done.candidates, labels, CANDIDATE_DEPTH, candidate=numbers)
+    )
 
 
 def _carved(

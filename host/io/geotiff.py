@@ -26,7 +26,7 @@ from .files import numbers
 from .paths import StrPath, destination, readable, reading, replacing, reserve
 
 # share of its length by which a cell's other side may differ; slopes then have this relative error
-SQUARE = 0.01
+MOST_OBLONG = 0.01
 GEO_TAGS = (33550, 33922, 34264, 34735)  # pixel scale, tie points, transformation, keys
 
 
@@ -203,7 +203,7 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Ras
                 stacklevel=2,  # one place, so that Python says it once
             )
         vertical = 1.0
-    if abs(east / north - 1) > SQUARE:
+    if abs(east / north - 1) > MOST_OBLONG:
         if not resample:
             raise bad(
                 f"{path}: cells are not square",
@@ -288,7 +288,7 @@ def _metres(path: Path, raster: Raster) -> tuple[float, float]:
     if not (-90 <= bottom < top <= 90):
         raise bad(f"{path}: latitudes", f"{bottom} to {top}", "-90 to 90 degrees")
     lengths = [_degrees(latitude) for latitude in (bottom, (top + bottom) / 2, top)]
-    if max(abs(e / lengths[1][0] - 1) for e, _ in lengths) > 2 * SQUARE:
+    if max(abs(e / lengths[1][0] - 1) for e, _ in lengths) > 2 * MOST_OBLONG:
         raise bad(
             f"{path}: cells in degrees that change their width",
             f"latitudes {bottom:.4g} to {top:.4g}",

@@ -12,7 +12,7 @@ from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from .paths import replacing, reserve
 
-BRIGHTEST = 255 * 2.0**119  # that a Radiance picture holds: a mantissa of 255/256, an exponent of 127
+BRIGHTEST_RGBE = 255 * 2.0**119  # that a Radiance picture holds: a mantissa of 255/256, an exponent of 127
 
 
 def module(path: Path) -> Any:
@@ -147,8 +147,8 @@ def _write_radiance(path: Path, array: np.ndarray) -> None:
         )
     cv2 = module(path)
     light = _rounded(array if array.ndim == 3 else np.stack([array] * 3, -1))
-    if light.max() > BRIGHTEST:
-        allowed = f"at most {BRIGHTEST:.4g}"
+    if light.max() > BRIGHTEST_RGBE:
+        allowed = f"at most {BRIGHTEST_RGBE:.4g}"
         raise bad(f"{path}: too bright for a Radiance picture", array.max(), allowed, "Use a larger unit.")
     done, data = cv2.imencode(".hdr", np.ascontiguousarray(light[..., ::-1], np.float32))
     if not done:

@@ -18,16 +18,19 @@ from ..errors import bad
 
 # how far from a cell's mean to its maximum its height lies; measured (performance/scale.py): with means alone
 # crests are lost, with maxima alone valleys close
-SHARE = np.float32(0.4)
+TOWARDS_MAXIMUM = np.float32(0.4)
 # the halo over the distance of nodes whose far horizons are marched; measured (performance/scale.py): at 2
 # errors are 1.5 to 2 times as large, at 8 0.6 to 0.8 times, for a quarter and four times the work
 SPARSE = 4
+# difference in height [spacings] of neighbouring nodes that is called a cliff: two crossings are too few
+# behind it (host/backends/numpy/horizon.py)
+CLIFF = 4.0
 # among cliffs every DENSER-th of that: share of neighbours that are steeper than CLIFF spacings apart, from
 # which on. Measured (performance/scale.py --exact): houses, 0.03 of whose neighbours are, have 0.0027 RMS
 # against exact rays in place of 0.0035; mountains have none, so half or twice the share is the same. So too
 # under suns: of six pairs of map and sun the error is then 0.3 to 0.7 times as large (0.4 to 1.8 %), for a
 # tenth more time; with 2 it is 0.5 to 0.7 times, with 8 0.2 to 0.6 for up to 1.9 times the time
-DENSER, CLIFF, CLIFFS = 4, 4.0, 0.003
+DENSER, CLIFFS = 4, 0.003
 # halos beyond a tile up to which overviews are its neighbours'; chosen: at 4 the levels that every tile is
 # given have four times as many cells, at 16 neighbours give four times as many
 NEIGHBOURS = 8
@@ -183,7 +186,7 @@ def from_heights(heights: np.ndarray) -> np.ndarray:
 
 def mixed(low: np.ndarray) -> np.ndarray:
     """Heights of cells from their means and maxima."""
-    heights: np.ndarray = low[0] + SHARE * (low[1] - low[0])
+    heights: np.ndarray = low[0] + TOWARDS_MAXIMUM * (low[1] - low[0])
     return heights
 
 

@@ -21,11 +21,11 @@ from .slices import CHORD_AZIMUTHS, CHORD_KNOTS, Slices, ball_quadrature, outlin
 
 # where in its step a slice of a ball lies; at 1/2 and 0 even and odd slices are mirror images, and their
 # difference does not show half of the error
-SHIFT = 0.25
-RAYS = 4, 16, 64, 256, 1024  # to a small lamp, along which its brightness is taken
-SAMPLE_COUNT = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
-# of RAYS; with 16 and 256 the light from below the level of a slope, a hill and a panel changes by up to 7
-# and 1 % of itself
+SLICE_SHIFT = 0.25
+RAY_COUNTS = 4, 16, 64, 256, 1024  # to a small lamp, along which its brightness is taken
+LAMP_SAMPLES = 256  # nodes; chosen, fewer than of a sky: shadows are sharper, and rays cost more
+# of RAY_COUNTS; with 16 and 256 the light from below the level of a slope, a hill and a panel changes by up
+# to 7 and 1 % of itself
 RAYS_BELOW = 64
 MOST_RAY_EVALUATIONS = 2**25  # of a brightness for the sake of rays, some ten seconds
 # share of a lamp's light that the ground takes from a node that is called partly hidden. Chosen: the light of
@@ -35,7 +35,7 @@ PARTLY = 1e-3
 # of the mean brightness: where a quarter of the rays changes it by more, 16 times as many are taken, if such
 # nodes are rare: the samples miss them. Chosen: a lamp right above a node, with the pole of its brightness
 # there, changed by 6 % and was 29 % off
-UNEVEN, MOST_UNEVEN = 0.02, 1 / 64
+RAYS_CHANGE, RAYS_CHANGED = 0.02, 1 / 64
 CHORDS_AT_ONCE = 2**18  # some 20 arrays of 8 bytes a chord
 # extents of a map to which a rectangular lamp may reach: there a node is a quarter of float32's resolution
 MOST_PANEL_EXTENTS = 2.0**22
@@ -86,7 +86,7 @@ def left_below(scene: Scene, lamp: sources.Lamp, engine: Backend) -> float:
     solid = upright(solid_of(scene, lamp, 1 / scene.spacing, 1.0))
     assert solid is not None, "a lamp is nowhere cut off"
     lowest = solid.center[2] - solid.radius if isinstance(solid, Ball) else np.min(solid.corners, axis=0)[2]
-    if lowest >= 0 or lowest >= (samples := samples_of(engine, scene, SAMPLE_COUNT)).highest:
+    if lowest >= 0 or lowest >= (samples := samples_of(engine, scene, LAMP_SAMPLES)).highest:
         return 0.0
     brightness = sources.Sky(lamp.brightness)
 
@@ -100,9 +100,9 @@ def left_below(scene: Scene, lamp: sources.Lamp, engine: Backend) -> float:
 
 
 def most_rays(scene: Scene) -> int:
-    """Of RAYS, the most that can be taken to every node."""
+    """Of RAY_COUNTS, the most that can be taken to every node."""
     nodes = math.prod(scene.shape)
-    return max((rays for rays in RAYS if rays * nodes <= MOST_RAY_EVALUATIONS), default=0)
+    return max((rays for rays in RAY_COUNTS if rays * nodes <= MOST_RAY_EVALUATIONS), default=0)
 
 
 class Sliced(LightMethod):
@@ -137,7 +137,7 @@ class Sliced(LightMethod):
         self.brightness: Any = 1.0 if rays else source.brightness
         if sky is not None and not rays:
             self.brightness = sky.chords(CHORD_AZIMUTHS, CHORD_KNOTS)
-        self.shifts = [SHIFT]
+        self.shifts = [SLICE_SHIFT]
         if isinstance(self.solid, Ball):
             self.slices, self.mean = self._image(units)
             self._half_difference = self.slices.alternating
@@ -156,9 +156,9 @@ class Sliced(LightMethod):
             for light in whole
         ]
         many, few = self.means
-        uneven = np.abs(many - few) > UNEVEN * many
+        uneven = np.abs(many - few) > RAYS_CHANGE * many
         self.is_partial = np.zeros(self.scene.shape, bool)
-        if uneven.sum() <= MOST_UNEVEN * uneven.size:
+        if uneven.sum() <= RAYS_CHANGED * uneven.size:
             self._take_chords(uneven, 16 * rays)
         self._take_chords()
 
@@ -192,7 +192,7 @@ class Sliced(LightMethod):
 
     def _image(self, units: int) -> tuple[Slices, Array]:
         """The light through ``units`` slices, and of small bright parts in as many sectors."""
-        slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SHIFT)
+        slices = Slices(self.there, self.scene.sides, self.solid, self.brightness, units, shift=SLICE_SHIFT)
         slices.run()
         if self.sky is not None and self.sky.bright_parts:
             assert isinstance(self.solid, Quad), "small bright parts lie behind windows"

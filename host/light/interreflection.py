@@ -26,7 +26,7 @@ Values = Any  # numbers or arrays
 LOBE_ERRORS = {4: 0.077, 6: 0.042, 8: 0.028, 12: 0.016, 16: 0.011, 24: 0.0073, 32: 0.0053, 64: 0.0022}
 WIDE_LOBE = 0.41
 FINE_PROFILE = 4096  # knots of half a lobe's profile; chosen
-SHIFT = 2  # columns 2^SHIFT apart are neighbours in planes: the widest stride of receivers
+PLANE_SHIFT = 2  # columns 2^PLANE_SHIFT apart are neighbours in planes: the widest stride of receivers
 
 
 class Round(NamedTuple):
@@ -49,9 +49,9 @@ class Planes:
         rows, cols = shape
         # along an axis; on a map that repeats, to where its relief makes a slope of SAMPLED_SLOPE
         self.far = max(rows, cols, relief / SAMPLED_SLOPE if sides == "periodic" else 0)
-        self.shift = SHIFT
+        self.shift = PLANE_SHIFT
         if sides == "periodic":  # planes repeat only if the columns are shared out evenly
-            self.shift = min(SHIFT, (cols & -cols).bit_length() - 1)
+            self.shift = min(PLANE_SHIFT, (cols & -cols).bit_length() - 1)
         self.margin = engine.lanes + 1
         self.across = -(-cols // (1 << self.shift))
         self.plane_map = (1 << self.shift) * (rows + 2) * (self.across + 2 * self.margin)

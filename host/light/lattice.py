@@ -21,7 +21,7 @@ from .propagation import Problem
 # RMS error of E / pi under a uniform sky on rough ground (rms slope 1), of the hemicubes that may be chosen:
 # performance/lattice_error.py. The tables of a larger one take minutes
 HEMICUBE_ERRORS = {5: 0.0376, 7: 0.0188, 9: 0.0119, 17: 0.0039, 33: 0.0012}
-WINDOW_AZIMUTHS, WINDOW_ELEVATIONS = 96, 192  # directions of the exact light through a window
+EXACT_WINDOW_AZIMUTHS, EXACT_WINDOW_ELEVATIONS = 96, 192  # directions of the exact light through a window
 PART_AZIMUTHS = 32  # and azimuths, at most, of the horizons before a small bright part behind it
 # parts of the sky, even in azimuth and in elevation, by which brightness is averaged over a direction's cell.
 # Chosen: against twice as many of both the light of a direction is 0.04 to 0.06 % off (RMS over the mean)
@@ -32,7 +32,7 @@ BRIGHTNESS_AZIMUTHS, BRIGHTNESS_ELEVATIONS = 1024, 256
 LEAK_SLOPE, LEAK_SIZE = 0.7, 7
 # relative error of level ground's light from which on directions miss features of a sky. Chosen: under CIE
 # skies with the sun from 5 to 80 degrees high it is up to 8 % with M = 5, 2.3 % with 7 and 1.1 % with 9
-UNEVEN = 0.03
+MISSED_SKY = 0.03
 
 
 def problem_of(
@@ -132,12 +132,12 @@ def through_window(
 ) -> np.ndarray:
     """Irradiance at the samples through a window of any kind.
 
-    By WINDOW_AZIMUTHS x WINDOW_ELEVATIONS directions; small bright parts of ``sky`` cell by cell.
+    By EXACT_WINDOW_AZIMUTHS x EXACT_WINDOW_ELEVATIONS directions; small bright parts of ``sky`` cell by cell.
     """
     parts = sky.bright_parts if sky is not None else ()
-    azimuths = 2 * np.pi * (np.arange(WINDOW_AZIMUTHS) + 0.5) / WINDOW_AZIMUTHS
+    azimuths = 2 * np.pi * (np.arange(EXACT_WINDOW_AZIMUTHS) + 0.5) / EXACT_WINDOW_AZIMUTHS
     total, deep = np.zeros(len(samples)), -samples.own.astype(float)
-    e = (np.arange(WINDOW_ELEVATIONS)[:, None] + 0.5) / WINDOW_ELEVATIONS * np.pi / 2
+    e = (np.arange(EXACT_WINDOW_ELEVATIONS)[:, None] + 0.5) / EXACT_WINDOW_ELEVATIONS * np.pi / 2
     for azimuth, slope in zip(azimuths, samples.horizons(azimuths)):
         c, s = math.cos(azimuth), math.sin(azimuth)
         away = deep / np.tan(e)
@@ -149,7 +149,7 @@ def through_window(
             * np.cos(e)
             * np.maximum(0, along * np.cos(e) + np.sin(e) / samples.length)
         ).sum(0)
-    total *= (np.pi / 2 / WINDOW_ELEVATIONS) * (2 * np.pi / WINDOW_AZIMUTHS)
+    total *= (np.pi / 2 / EXACT_WINDOW_ELEVATIONS) * (2 * np.pi / EXACT_WINDOW_AZIMUTHS)
     total += _parts_through(samples, scene, source, parts)
     return total
 
@@ -238,7 +238,7 @@ def _uneven_sky(source: sources.Source, cube: Hemicube) -> list[str]:
             taken = -float(cube.moments[:, 2] @ sources.radiance(grey, cube.directions))
             level = level_of(grey)
             worst = max(worst, taken / level if level else 1.0, key=lambda times: abs(times - 1))
-    if abs(worst - 1) <= UNEVEN:
+    if abs(worst - 1) <= MISSED_SKY:
         return []
     return [
         f"Uneven sky: level ground gets {worst:.3g} times the light of the sky, whose narrow features lie"

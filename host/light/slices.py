@@ -20,7 +20,7 @@ from .propagation import Lobe
 
 MOST = 32  # of a source that surrounds a node, by default
 WALLED = 2  # times as many where a wall cuts the source
-LEVELS = 9  # cells of 2 to 512 nodes
+CELL_LEVELS = 9  # cells of 2 to 512 nodes
 BRIGHTNESS_SIDE = 512  # samples of the brightness across the sky
 LOBE_POINTS, LOBE_VARIES = 10, 14  # samples of a lobe along a chord within its rim; where brightness varies
 # slices of a lobe: least, where the zenith lies within it, and through a lamp
@@ -152,7 +152,7 @@ class Slices:
         count = rows * cols
         self.there, backend = there, there.backend
         self.backend, self.solid, self.step = backend, solid, there.step
-        self.levels = min(max(round(math.log2(cols)) - 2, 1), LEVELS)
+        self.levels = min(max(round(math.log2(cols)) - 2, 1), CELL_LEVELS)
         self.width = -(-cols >> self.levels) << self.levels
         cells = (rows + 1) // 2
         images = 2 if isinstance(solid, Ball) else 1

@@ -36,7 +36,7 @@ NODE_BYTES, TILT_BYTES = 36, 8  # that sweeps take for a node on a device, and o
 # [byte] of horizon slopes on a device at a time; chosen: eight azimuths of 4096 x 4096 nodes, which occupy a
 # GPU
 MOST_PLANES = 2**30
-PROBED = 1024  # nodes from which the steepest rise and fall are searched for
+PROBED_NODES = 1024  # nodes from which the steepest rise and fall are searched for
 
 
 class Ground(NamedTuple):
@@ -119,7 +119,7 @@ class Sweeps:
         self.margin = self.near + backend.lanes + 3
         self.room = (rows + 2 * self.margin) * (cols + 2 * self.margin)
         reserve_map(backend, self.room, NODE_BYTES * self.room, TILT_BYTES * self.room)
-        every, first = max(1, math.isqrt(rows * cols // PROBED)), self.near + 1
+        every, first = max(1, math.isqrt(rows * cols // PROBED_NODES)), self.near + 1
         self.map = here = ground.map
         m = self.margin
         self.lowest, highest = here.heights_range

@@ -19,12 +19,12 @@ from ..backends.base import Backend
 from ..errors import CapacityError
 from ..interreflection import choice, expected, is_needed
 from ..light.base import LightMethod
+from ..light.far import CLIFF
 from ..light.finite import left_below
 from ..light.lattice import Lattice, lacking
 from ..light.unoccluded import ClosedForm
 from ..reflectance import BRDF, Lambertian, Phong
 from ..samples import (
-    CLIFF,
     ESTIMATE_SHARE,
     SAMPLE_COUNT,
     SAMPLED_SLOPE,

@@ -17,7 +17,7 @@ from ..backends.base import Backend
 from ..directions import Hemicube
 from ..light import unoccluded
 from ..light.base import LightMethod
-from ..light.finite import MOST_RAY_EVALUATIONS, RAYS, SAMPLE_COUNT, Sliced, most_rays, solid_of
+from ..light.finite import LAMP_SAMPLES, MOST_RAY_EVALUATIONS, RAY_COUNTS, Sliced, most_rays, solid_of
 from ..light.line import Light, LinePoints, at_samples, lights_of, line_of
 from ..light.slices import outline, widened
 from ..light.unoccluded import ClosedForm
@@ -42,7 +42,7 @@ LINE_COUNTS, LINE_WIDTH = (16, 32, 64, 128, 256, 512), 5e-3
 # or 4e-4, darker than a line
 NEAREST_LINE_WIDTH = 0.1
 LEAST_REACHED = 128  # points that every node of a map must have within MOST_RAY_EVALUATIONS; chosen
-EXACT_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
+EXACT_SLICE_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
 # largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
 # window, resolve wider ones. Chosen: with half a sun of 4 degrees behind windows 1.1 spacings wide is up to
 # 3.7 tolerances off at 0.3 %, without a word; with 3 times this one of 29 random windows is 1.1, and others
@@ -62,7 +62,7 @@ ONE_RAY_RADIUS = math.radians(0.1)
 # were unoccluded and everywhere as bright as in its brightest direction; chosen: a thousandth of what an
 # 8-bit image shows under the beam itself; with half and twice the errors of 15 lamps and windows at 1 % stay
 # the same
-DARK = 1e-6
+LEAST_LIGHT = 1e-6
 POINT_SHARE = 0.1  # share of the tolerance: largest error as a point of a lamp that a plan calls a point
 
 
@@ -82,7 +82,7 @@ class HiddenWindowPlanner(Planner):
 class FinitePlanner(UnitsPlanner):
     """A lamp or window of simple shape."""
 
-    sample_count = SAMPLE_COUNT
+    sample_count = LAMP_SAMPLES
     solid: Ball | Quad  # [spacings], heights third
     middle: np.ndarray  # of it
     radius: float  # of a sphere round it
@@ -108,7 +108,7 @@ class FinitePlanner(UnitsPlanner):
         self.apparent = float(np.arcsin(np.minimum(1, self.radius / distance)).mean())
         if callable(brightness):
             most = sources.radiance(sources.Sky(brightness), Hemicube(9).directions).max()
-            samples.least = DARK * float(self._unoccluded(1, float(most)).mean())
+            samples.least = LEAST_LIGHT * float(self._unoccluded(1, float(most)).mean())
         self.uniform = uniform_light(samples)
         self._prepare()
         if not self._fits_closed_form():
@@ -165,11 +165,11 @@ class FinitePlanner(UnitsPlanner):
         if varies:
             if not self._faces_source():
                 return False
-            self._judge_by_rays(RAYS[-1])
+            self._judge_by_rays(RAY_COUNTS[-1])
         most = most_rays(self.scene) if varies else 0
-        for rays_per_node in (1, *(rays for rays in RAYS if rays <= most)):
-            if rays_per_node == RAYS[-1]:
-                self._judge_by_rays(4 * RAYS[-1])
+        for rays_per_node in (1, *(rays for rays in RAY_COUNTS if rays <= most)):
+            if rays_per_node == RAY_COUNTS[-1]:
+                self._judge_by_rays(4 * RAY_COUNTS[-1])
             errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
             if not self.fits(errors) or (
                 varies and rays_per_node == 1 and not _looks_small(self.scene, self.middle, self.radius)
@@ -261,7 +261,7 @@ class SlicePlanner(FinitePlanner):
         self.smooth, self.by_slices = self.source.brightness, {}
         if callable(self.smooth) and isinstance(self.source, sources.Window):
             self._set_parts_apart()
-        self.set_exact_light(EXACT_MULTIPLE * BALL_SLICES[0])
+        self.set_exact_light(EXACT_SLICE_MULTIPLE * BALL_SLICES[0])
 
     def _set_parts_apart(self) -> None:
         """Integrate the sky behind a window; the light of its small bright parts, and the rest."""
@@ -284,12 +284,12 @@ class SlicePlanner(FinitePlanner):
         self.method_class, self.rays_per_node = Sliced, 0
         if callable(self.source.brightness):
             if isinstance(self.source, sources.Lamp) and self.apparent < NARROW_RADIUS:
-                self.rays_per_node = RAYS[0]
+                self.rays_per_node = RAY_COUNTS[0]
             elif self.sky is None:
                 self.sky = integrals(sources.Sky(self.source.brightness), math.inf, True)
             self.tables_error = 0.0 if self.rays_per_node else TABLES_ERROR
         counts = BALL_SLICES if isinstance(self.solid, Ball) else QUAD_SLICES
-        self.choose_units((EXACT_MULTIPLE * count, [count]) for count in counts)
+        self.choose_units((EXACT_SLICE_MULTIPLE * count, [count]) for count in counts)
 
     def set_exact_light(self, units: int) -> None:
         # half of the points along chords too: they meet a brightness's edges by chance
@@ -348,11 +348,11 @@ class LinePlanner(FinitePlanner):
         if callable(brightness):
             self.sky = integrals(sources.Sky(brightness), self.tolerance, True)
         self.lights = lights_of(brightness, self.sky.bright_parts if self.sky else ())
-        self.set_exact_light(EXACT_MULTIPLE * LINE_COUNTS[0])
+        self.set_exact_light(EXACT_SLICE_MULTIPLE * LINE_COUNTS[0])
 
     def _choose_refinable(self) -> None:
         self.method_class = LinePoints
-        self.choose_units((EXACT_MULTIPLE * count, [count]) for count in LINE_COUNTS)
+        self.choose_units((EXACT_SLICE_MULTIPLE * count, [count]) for count in LINE_COUNTS)
 
     def set_exact_light(self, units: int) -> None:
         self.exact = self.light_by(units)
@@ -388,7 +388,7 @@ def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Back
     if LEAST_REACHED * math.prod(scene.shape) > MOST_RAY_EVALUATIONS:
         return False
     middle, line = np.asarray(solid.corners, float).mean(0), line_of(solid)
-    distance = float(np.median(_distances(middle, samples_of(engine, scene, SAMPLE_COUNT))))
+    distance = float(np.median(_distances(middle, samples_of(engine, scene, LAMP_SAMPLES))))
     if not line.width < LINE_WIDTH * distance:
         return False
     return line.width < NEAREST_LINE_WIDTH * _nearest(scene, line.begin, line.end)

@@ -34,7 +34,7 @@ GPU_EXACT_AZIMUTHS = 144
 LEAST_SECTORS, MOST_SECTORS, LEAST_SECTORS_TOLERANCE = 4, 40, 0.01
 # multiples of it that are tried in turn; and the multiple of an image's in the exact light: odd, so that its
 # sectors have other borders
-SECTOR_MULTIPLES, EXACT_MULTIPLE = (1, 3, 9), 3
+SECTOR_MULTIPLES, EXACT_SECTOR_MULTIPLE = (1, 3, 9), 3
 # near rows, within which every crossing is tested: where the usual 6 do not suffice, and where 24 do not
 CLIFF_NEAR_ROWS = 24, 96
 # RMS error of sweeps with 6 near rows, over the square root of the share of neighbouring nodes that are
@@ -169,7 +169,7 @@ class SkyPlanner(UnitsPlanner):
         least = LEAST_SECTORS * max(1.0, LEAST_SECTORS_TOLERANCE / self.tolerance)
         for times in SECTOR_MULTIPLES:
             self.sectors = times * math.ceil(min(least, MOST_SECTORS) / sum(self.multiples))
-            self.exact_sectors = EXACT_MULTIPLE * self.sectors
+            self.exact_sectors = EXACT_SECTOR_MULTIPLE * self.sectors
             self._add_bright_parts()
             few, many = (self._bright_light(n).mean(0) for n in (self.sectors, self.exact_sectors))
             if self.fits(self.samples.errors(self.exact + few - many, self.exact)):
@@ -212,8 +212,8 @@ class SkyPlanner(UnitsPlanner):
     def audit(self, method: LightMethod) -> float | None:
         if 3 * method.units > self.exact_count:
             self.set_exact_light(next(n for n in AUDIT_AZIMUTHS if 2 * n >= 3 * method.units))
-        if isinstance(method, Horizons) and EXACT_MULTIPLE * method.sectors > self.exact_sectors:
-            self.exact_sectors = EXACT_MULTIPLE * method.sectors
+        if isinstance(method, Horizons) and EXACT_SECTOR_MULTIPLE * method.sectors > self.exact_sectors:
+            self.exact_sectors = EXACT_SECTOR_MULTIPLE * method.sectors
             self._add_bright_parts()
         return super().audit(method)
 

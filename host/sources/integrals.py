@@ -1,9 +1,9 @@
 """Integrals of a sky's brightness over sectors of azimuth and bands of elevation; small bright parts apart.
 
 The hemisphere is divided into cells about 0.15 degrees wide. A function is evaluated once in every cell.
-Where its second difference is more than SHARE of the light, the cell is divided, adaptively. An environment
-map is integrated pixel by pixel. Small bright parts (suns, lights, spots; any number) are found from the
-cells and get azimuths of their own. All is float64 and on the host.
+Where its second difference is more than ROUGH_SHARE of the light, the cell is divided, adaptively. An
+environment map is integrated pixel by pixel. Small bright parts (suns, lights, spots; any number) are found
+from the cells and get azimuths of their own. All is float64 and on the host.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ R2_STEPS = 0.7548776662466927, 0.5698402909980532
 ROUGH = 0.05
 # of all light: a cell with a larger second difference is divided. Level ground under ten suns then has an
 # error of 2e-5 to 7e-5 (tests/test_integrals.py)
-SHARE = 2e-6
+ROUGH_SHARE = 2e-6
 # of all light: smaller second differences do not matter; a million cells make an error of 1e-6
 NEGLIGIBLE = 1e-9
 # samples along each side of a rough cell that is not divided; chosen: with 3, twenty stripes have an
 # error of 2e-4, with 1 six times that
 JITTERED = 5
-PARTS = 4  # into which a cell is divided along each side
+CELL_PARTS = 4  # into which a cell is divided along each side
 MOST_DIVISIONS = 9  # 0.15 degrees / 4^9 = 2e-6 degrees
 # evaluations in divided cells, as many as in the first ones: those with the largest second differences are
 # divided first, and `error` holds the rest
 MOST_CELL_EVALUATIONS = 2**20
-CONVERGED = 2e-5  # relative error at which no cell is divided any more: a fifth of level ground's tolerance
+# relative error at which no cell is divided any more: a fifth of level ground's tolerance
+CONVERGED_CELL = 2e-5
 SHARPEST = 3.0  # ratio of the light of neighbouring cells from which on an edge lies between them
 # The next four and DARK_GAP are chosen. Half and twice of each: the median error of four random pairs under
 # skies with lights, .561 of the tolerance, becomes .557 and .588 with BRIGHT, .561 and .566 with INNER, and
@@ -351,10 +352,10 @@ class Integrals:
         total = max(total, 1e-300)
         cells, step, variance = self._rough_cells(bands, sizes, solid, total, peaks)
         leaves = _Leaves([], total - float(cells.light @ cells.solid_angle), variance)
-        evaluations, per_cell = MOST_CELL_EVALUATIONS, (PARTS + 2) ** 2
+        evaluations, per_cell = MOST_CELL_EVALUATIONS, (CELL_PARTS + 2) ** 2
         for _ in range(MOST_DIVISIONS):
             error = math.sqrt(leaves.variance + float(np.sum(step**2)) / 12)
-            converged = error <= CONVERGED * leaves.light_with(cells) and not peaks
+            converged = error <= CONVERGED_CELL * leaves.light_with(cells) and not peaks
             if not len(step) or evaluations < per_cell or converged:
                 break
             if len(step) * per_cell > evaluations:  # the largest steps first
@@ -364,7 +365,7 @@ class Integrals:
                 cells, step = cells.pick(first), step[first]
             evaluations -= len(step) * per_cell
             cells, step = self._parts(cells)
-            divide = (step > SHARE * leaves.light_with(cells)) | _near(cells, peaks)
+            divide = (step > ROUGH_SHARE * leaves.light_with(cells)) | _near(cells, peaks)
             leaves.add(self._leaf(cells.pick(~divide), step[~divide]), step[~divide])
             cells, step = cells.pick(divide), step[divide]
         leaves.add(self._leaf(cells, step), step)
@@ -379,7 +380,7 @@ class Integrals:
         bright[:, [0, -1]] = bright[:, [-2, 1]]
         bright = bright[:, :-2] | bright[:, 1:-1] | bright[:, 2:]
         row, col = np.nonzero(bright[:-2] | bright[1:-1] | bright[2:])
-        if not len(row) or len(row) * (PARTS + 2) ** 2 > MOST_CELL_EVALUATIONS:
+        if not len(row) or len(row) * (CELL_PARTS + 2) ** 2 > MOST_CELL_EVALUATIONS:
             return None
         return self._parts(band.cells(row, col, 0), is_linear=True)[0]
 
@@ -396,7 +397,7 @@ class Integrals:
             light = band.light
             step, correction = _band_steps(bands, n)
             step *= angle
-            mark = (step > SHARE * total) | _near_base(band, peaks)
+            mark = (step > ROUGH_SHARE * total) | _near_base(band, peaks)
             row, col = np.nonzero(mark)
             begin.append((band.cells(row, col, sizes[n]), step[row, col]))
             rough = ~mark & (step > np.maximum(ROUGH * light * angle, NEGLIGIBLE * total))
@@ -409,27 +410,27 @@ class Integrals:
         return _joined([cells for cells, _ in begin]), np.concatenate([step for _, step in begin]), variance
 
     def _parts(self, cells: Cells, is_linear: bool = False) -> tuple[Cells, np.ndarray]:
-        """The PARTS x PARTS parts of each cell, and their second differences times solid angle.
+        """The CELL_PARTS x CELL_PARTS parts of each cell, and their second differences times solid angle.
 
         ``is_linear``: the mean over a part is its middle by solid angle, as of a map's pixels, whose borders
         they share. That lies h^2 tan(elevation) / 12 below the middle of its height h.
         """
-        place = (np.arange(-1, PARTS + 1) + 0.5) / PARTS  # with a neighbour on every side
+        place = (np.arange(-1, CELL_PARTS + 1) + 0.5) / CELL_PARTS  # with a neighbour on every side
         azimuth = cells.azimuth[:, None] + cells.width[:, None] * (place - 0.5)
         low, height = cells.low[:, None], (cells.high - cells.low)[:, None]
-        edges = low + height * (np.arange(PARTS + 1) / PARTS)
+        edges = low + height * (np.arange(CELL_PARTS + 1) / CELL_PARTS)
         elevation = np.clip(low + height * place, 0, math.pi / 2)
         if is_linear:
-            height = height / PARTS
+            height = height / CELL_PARTS
             elevation -= np.minimum(height**2 * np.tan(elevation) / 12, height / 6)
         sine = np.sin(elevation)
-        sampled = np.empty((len(sine), PARTS + 2, PARTS + 2))
+        sampled = np.empty((len(sine), CELL_PARTS + 2, CELL_PARTS + 2))
         for some in np.array_split(np.arange(len(sine)), sampled.size // EVALUATION_BATCH + 1):
             sampled[some] = self._radiance(azimuth[some, None, :], sine[some, :, None])
         step, correction = _second_differences(sampled)
         light, azimuth = sampled[:, 1:-1, 1:-1], azimuth[:, 1:-1]
         light = np.where(is_linear | (step > ROUGH * light), light, np.maximum(0, light + correction))
-        width, base = cells.width[:, None, None] / PARTS, cells.base[:, None, None]
+        width, base = cells.width[:, None, None] / CELL_PARTS, cells.base[:, None, None]
         values = azimuth[:, None, :], width, edges[:, :-1, None], edges[:, 1:, None], light, base
         parts = Cells(*(np.broadcast_to(part, light.shape).ravel() for part in values))
         return parts, step.ravel() * parts.solid_angle

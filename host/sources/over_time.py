@@ -29,7 +29,8 @@ SUNS_AT_ONCE = 2**14  # whose points are shared out together: some 60 MB
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))  # [rad] from point to point of a sunflower's pattern
 # elevations of the sun, a degree apart, whose skies are computed; between them is interpolated
 SUN_CLASSES = 91
-COARSE = 4  # cells along each side of a cell of scattered light: half a degree, a tenth of its finest feature
+# cells along each side of a cell of scattered light: half a degree, a tenth of its finest feature
+SCATTERED_PARTS = 4
 # [rad] height of the band at the horizon (Perez et al. 1987: 6.5 degrees)
 PEREZ_BAND = math.radians(6.5)
 LONGEST, STRONGEST = 1e5, 1e9  # [hour], [W m^-2] that a time may stand for and a sun may give; chosen
@@ -314,13 +315,13 @@ def _perez(
 
 def _scattered(kind: int, azimuth: np.ndarray, elevation: np.ndarray, energy: np.ndarray) -> np.ndarray:
     """The sum of skies of a CIE type (ROWS, COLS), whose light on level ground is ``energy`` (times,)."""
-    rows, cols = ROWS // COARSE, COLS // COARSE
-    middle = COARSE * CELL * (np.arange(rows) + 0.5)
-    relative = COARSE * TURN * np.arange(cols)
+    rows, cols = ROWS // SCATTERED_PARTS, COLS // SCATTERED_PARTS
+    middle = SCATTERED_PARTS * CELL * (np.arange(rows) + 0.5)
+    relative = SCATTERED_PARTS * TURN * np.arange(cols)
     L = directions_of(relative, np.sin(middle)[:, None])
     fine = gradation(kind, np.sin(CELL * (np.arange(ROWS) + 0.5)))
-    moments = COARSE * (_moments() * fine).reshape(rows, COARSE).sum(1)
-    turned = np.radians(azimuth - 90) / (COARSE * TURN) - 0.5
+    moments = SCATTERED_PARTS * (_moments() * fine).reshape(rows, SCATTERED_PARTS).sum(1)
+    turned = np.radians(azimuth - 90) / (SCATTERED_PARTS * TURN) - 0.5
     suns = _shared(elevation / 90 * (SUN_CLASSES - 1), turned, energy, (SUN_CLASSES, cols))
     spectrum = np.zeros((rows, cols // 2 + 1), complex)
     for n in np.flatnonzero(suns.any(1)):
@@ -333,10 +334,10 @@ def _scattered(kind: int, azimuth: np.ndarray, elevation: np.ndarray, energy: np
 
 
 def _finer(cells: np.ndarray) -> np.ndarray:
-    """Cells (rows, cols) all round in cells COARSE times as fine, interpolated bilinearly."""
+    """Cells (rows, cols) all round in cells SCATTERED_PARTS times as fine, interpolated bilinearly."""
     for axis, around in ((0, False), (1, True)):
         count = cells.shape[axis]
-        place = (np.arange(COARSE * count) + 0.5) / COARSE - 0.5
+        place = (np.arange(SCATTERED_PARTS * count) + 0.5) / SCATTERED_PARTS - 0.5
         low = np.floor(place).astype(int)
         part = np.expand_dims(place - low, 1 - axis)
         ends = (

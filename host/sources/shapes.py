@@ -32,7 +32,7 @@ from .brightness import (
 MOST_STEPS_UP = 2**16
 # azimuths, and elevations, in which the size of a brightness is sampled. Chosen; half and twice give the same
 # image, since scaling by a power of two is exact, unless light between the samples is 2^40 times brighter
-PROBED = 12
+BRIGHTNESS_PROBES = 12
 LEAST_CLIMB = 1e-4  # [rad] between directions on the way to the top of a narrow spot; chosen
 
 
@@ -300,12 +300,13 @@ def in_range(source: Source) -> tuple[Source, float]:
     """A source whose brightness is far from the limits of float32, and the number that its light is to be
     multiplied by: a power of two, 1 where the brightness is a number or its greatest value is moderate.
 
-    Functions are sampled in PROBED azimuths and elevations, and towards their narrow features.
+    Functions are sampled in BRIGHTNESS_PROBES azimuths and elevations, and towards their narrow features.
     """
     brightness = distribution_of(source)
     if brightness is None:
         return source, 1.0
-    azimuths, sines = 2 * np.pi * np.arange(PROBED) / PROBED, (np.arange(PROBED) + 0.5) / PROBED
+    steps = np.arange(BRIGHTNESS_PROBES) / BRIGHTNESS_PROBES
+    azimuths, sines = 2 * np.pi * steps, steps + 0.5 / BRIGHTNESS_PROBES
     narrow = np.reshape(narrow_features(source) or (), (-1, 3))
     around = directions_of(azimuths[:, None], sines).reshape(-1, 3)
     probes = np.concatenate([around, narrow])
@@ -328,7 +329,7 @@ def _summit(brightness: Distribution, at: np.ndarray, most: float) -> float:
 
     A narrow spot may stand between the probes of :func:`in_range`, which then lie on its foot.
     """
-    step = 1 / PROBED
+    step = 1 / BRIGHTNESS_PROBES
     while step > LEAST_CLIMB and most < LEAST_UNIT:
         around = at + step * np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
         around[:, 2] = np.minimum(around[:, 2], 0)

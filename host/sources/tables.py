@@ -12,7 +12,7 @@ from .shapes import Source, distribution_of, radiance
 # samples of a sky: a sun half a degree wide gets two or three
 SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS = 2048, 192
 TABLE_KNOTS = 1024  # of a table of brightness, evenly in the diamond angle of the elevation
-UNEVEN = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
+PLACED_FROM = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
 # directions whose brightness is evaluated at a time: more would leave the cache, fewer need more calls
 EVALUATION_BATCH = 2**13
 
@@ -49,7 +49,7 @@ def azimuth_profile(source: Source) -> np.ndarray | None:
 def _profile(source: Source) -> np.ndarray | None:
     light, sine = sky_samples(source)
     profile = np.einsum("ae,ae->a", light, np.sqrt(1 - sine**2))
-    if profile.max() <= UNEVEN * profile.mean():
+    if profile.max() <= PLACED_FROM * profile.mean():
         return None
     # the edge of a sun lies between samples
     widest: np.ndarray = np.maximum.reduce([np.roll(profile, n) for n in range(-2, 3)])
