@@ -221,7 +221,7 @@ def test_round_earth_and_farthest_ground(backend, drop):
     truth = oracle.far_horizons(
         heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM), farthest=40.0, drop=drop
     )
-    window, far = far_of(heights, FINE, (16, 64), (16, 16), farthest=40.0, drop=drop)
+    window, far = far_of(heights, FINE, (16, 64), (16, 16), **options)
     found = planes_of(engine, window, far, angles)[:, 8:24, 8:24]
     _same(found, truth[:, 16:32, 64:80])
     known = np.isfinite(truth[0])
