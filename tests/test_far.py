@@ -218,9 +218,8 @@ def test_round_earth_and_farthest_ground(backend, drop):
     engine, heights = select(backend), ridges(48, 160)
     angles = np.array([0.05, 3.1])
     plain = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM))
-    truth = oracle.far_horizons(
-        heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM), farthest=40.0, drop=drop
-    )
+    options = dict(farthest=40.0, drop=drop)
+    truth = oracle.far_horizons(heights, angles, 8, 4, FINE.spread, float(TOWARDS_MAXIMUM), **options)
     window, far = far_of(heights, FINE, (16, 64), (16, 16), **options)
     found = planes_of(engine, window, far, angles)[:, 8:24, 8:24]
     _same(found, truth[:, 16:32, 64:80])
