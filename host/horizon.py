@@ -195,7 +195,7 @@ def _sum_of(scene: Scene, engine: Backend, sweeps: Sweeps, scale: float) -> Any:
         there.shade(scene.on(engine), 1.0, scale)
         there.held = None
         return there
-    image = sweeps.irradiance(last=True)
+    image = sweeps.irradiance()
     multiply(image, scale)
     if scene.mask is not None:
         image[~scene.mask] = np.nan

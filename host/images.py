@@ -147,15 +147,11 @@ def is_in_colour(share: np.ndarray) -> bool:
     return share.ndim in (1, 3)
 
 
-def number_of(source: sources.Source) -> float:
-    """The brightness of a grey source if that is a number, 1 if it is a function of direction."""
-    value: Any = source.brightness
-    return 1.0 if callable(value) else float(value)
-
-
 def numbers_of(greys: Sequence[sources.Source]) -> list[float] | None:
     """Brightnesses where all are numbers, so that colours differ by a factor alone; else None."""
-    return None if any(callable(grey.brightness) for grey in greys) else [number_of(grey) for grey in greys]
+    if any(callable(grey.brightness) for grey in greys):
+        return None
+    return [sources.number_of(grey) for grey in greys]
 
 
 def per_colour(greys: Sequence[sources.Source], work: Callable[[sources.Source], Irradiance]) -> list[Any]:

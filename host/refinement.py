@@ -298,7 +298,7 @@ def choose(
         planner_class = LatticePlanner
     elif isinstance(source, sources.Sky):
         planner_class = SkyPlanner
-    elif solid_of(scene, source, 1 / scene.spacing, 1.0) is None:
+    elif solid_of(scene, source) is None:
         planner_class = HiddenWindowPlanner
     elif looks_thin(scene, source, engine):
         planner_class = LinePlanner

@@ -400,11 +400,11 @@ def _swept(
     for (angles, widths, _), table in lights:
         first = Rays(angles[:even], widths[:even])
         sky = None if table is None else table[:even]
-        images.append(Sweeps(engine, ground, first, sky, far=far).irradiance(last=True))
+        images.append(Sweeps(engine, ground, first, sky, far=far).irradiance())
         if table is not None and even is not None and len(angles) > even:
             others = Rays(angles[even:], widths[even:])
             near = PART_NEAR_ROWS
-            images[-1] += Sweeps(engine, ground, others, table[even:], near, far=far).irradiance(last=True)
+            images[-1] += Sweeps(engine, ground, others, table[even:], near, far=far).irradiance()
     return images
 
 
@@ -412,7 +412,7 @@ def _share_of_sky(engine: Backend, ground: Ground, azimuths: int, far: Far | Non
     """Share of sky that every node of a tile sees, cosine-weighted, (rows, cols) float32."""
     sectors = Azimuths(azimuths)
     rays = Rays(sectors.angles, sectors.widths)
-    return Sweeps(engine, ground, rays, far=far).irradiance(last=True) * np.float32(1 / np.pi)
+    return Sweeps(engine, ground, rays, far=far).irradiance() * np.float32(1 / np.pi)
 
 
 def tile_image(scene: Scene, source: sources.Source, backend: str, **asked: Any) -> TileImage:

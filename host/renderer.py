@@ -22,7 +22,6 @@ from .images import (
     Rendering,
     image_of,
     is_in_colour,
-    number_of,
     numbers_of,
     on_host,
     per_colour,
@@ -536,9 +535,9 @@ def _unoccluded(scene: Scene, source: sources.Source) -> np.ndarray:
     """Closed forms: (rows, cols) float32."""
     if isinstance(source, sources.Sky):
         varies = callable(source.brightness)
-        image = unoccluded.sky(scene, integrals(source) if varies else number_of(source))
+        image = unoccluded.sky(scene, integrals(source) if varies else sources.number_of(source))
     else:
-        solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+        solid = upright(solid_of(scene, source))
         if solid is None:
             return np.zeros(scene.shape, np.float32)
         image = unoccluded.image(scene, solid, source.brightness)
@@ -564,8 +563,8 @@ def _sky_above_horizons(
         table = integrals(sky, np.inf).table(sectors.angles, sectors.widths, 1025)
     ground, rays = ground_of(scene, max_distance, engine), Rays(sectors.angles, sectors.widths)
     sweeps = Sweeps(engine, ground, rays, table)
-    image: Irradiance = sweeps.image() if on_device else sweeps.irradiance(last=True)
-    return image if table is not None else scaled(image, number_of(sky))
+    image: Irradiance = sweeps.image() if on_device else sweeps.irradiance()
+    return image if table is not None else scaled(image, sources.number_of(sky))
 
 
 def _by_slices(
@@ -576,7 +575,7 @@ def _by_slices(
     brightness = (
         integrals(sources.Sky(source.brightness), np.inf, True).chords(CHORD_AZIMUTHS, CHORD_KNOTS)
         if callable(source.brightness)
-        else number_of(source)
+        else sources.number_of(source)
     )
     slices, scale = _slices(scene, source, engine, plan.azimuths, brightness)
     if slices is None:
@@ -605,7 +604,7 @@ def _slices(
     None for a window outside a dark box.
     """
     there = scene.on(engine)
-    solid = solid_of(scene, source, there.step / scene.spacing, there.step)
+    solid = solid_of(scene, source, there.step)
     if solid is None:
         return None, 1.0
     solid, scale = widened(solid, there)

@@ -120,7 +120,7 @@ def sources(size):
 def truth(scene, source, engine):
     """(samples, direct light there, all light there), exactly."""
     samples = Samples(engine, scene, NODES)
-    solid = None if isinstance(source, sl.Sky) else upright(solid_of(scene, source, 1.0, 1.0))
+    solid = None if isinstance(source, sl.Sky) else upright(solid_of(scene, source))
     direct = samples.exact(source, solid)
     image = sl.render(
         scene,

@@ -636,7 +636,7 @@ def truth(samples, scene, source, light, density=1):
         low, high = np.zeros(count), np.full(count, np.pi / 2)
         smooth = part_of_sky(samples, light.smooth, azimuth, width, low, high, CELLS * density, within=WITHIN)
         return of_features(samples, light, density) + smooth
-    solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+    solid = upright(solid_of(scene, source))
     if is_thin(solid, LINE_SHARE):
         return through_line(samples, solid, light, density)
     bounds = None

@@ -243,7 +243,7 @@ def pair(scene: str, light: str, size: int) -> tuple[sl.Scene, sources.Source]:
 def truth(scene, source, backend, nodes: int = NODES) -> tuple[Samples, np.ndarray]:
     """Nodes, other than those that choose, and their irradiance by many exact rays."""
     samples = Samples(select(backend), scene, nodes, first=100_003)
-    solid = None if isinstance(source, sl.Sky) else upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+    solid = None if isinstance(source, sl.Sky) else upright(solid_of(scene, source))
     if solid is None and not isinstance(source, sl.Sky):
         return samples, np.zeros(len(samples))
     return samples, samples.exact(source, solid)

@@ -63,7 +63,7 @@ def least_light(samples, ground, source):
     most = sources.radiance(
         sl.Sky(source.brightness), np.stack([r * np.cos(turn), r * np.sin(turn), z], -1)
     ).max()
-    solid = upright(solid_of(ground, source, 1 / ground.spacing, 1.0))
+    solid = upright(solid_of(ground, source))
     return 1e-6 * float(samples.through_slices(solid, float(most), 64, occluded=False).mean())
 
 

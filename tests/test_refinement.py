@@ -806,7 +806,7 @@ def test_a_wall_along_a_thin_panel_hides_half_of_its_width(fast):
     out = irradiance(sl.Scene(depth), panel, fast)
     samples = Samples(select(fast), sl.Scene(depth), 1)
     samples.set_nodes(np.arange(64), np.full(64, 28))
-    solid = upright(solid_of(sl.Scene(depth), panel, 1.0, 1.0))
+    solid = upright(solid_of(sl.Scene(depth), panel))
     exact = samples.through_slices(solid, 1.0, 1024)
     clear = samples.through_slices(solid, 1.0, 1024, occluded=False)
     assert 0.3 < exact[32] / clear[32] < 0.7

@@ -42,7 +42,7 @@ def test_samples_see_lamps_as_shadow_rays_do(fast, source):
     for scene in (SCENES["rough"], SCENES["holes"]):
         samples = Samples(select(fast), scene, 40)
         assert scene.valid[samples.y, samples.x].all() and (samples.own > NONE).all()
-        found = samples.through_slices(upright(solid_of(scene, source, 1.0, 1.0)), source.brightness, 128)
+        found = samples.through_slices(upright(solid_of(scene, source)), source.brightness, 128)
         wanted = truth(scene, source, (samples.y, samples.x))
         assert errors(found, wanted).rms < 0.005 and (wanted > 0).mean() > 0.3
 
@@ -159,7 +159,7 @@ def test_a_lamp_through_the_wall_of_a_dark_box(fast, lamp):
     samples = Samples(select(fast), scene, 1)
     nodes = np.array([(46, 20), (40, 24), (30, 12), (24, 22), (47, 9)]).T
     samples.set_nodes(*nodes)
-    found = samples.through_slices(upright(solid_of(scene, lamp, 1.0, 1.0)), 1.0, 512)
+    found = samples.through_slices(upright(solid_of(scene, lamp)), 1.0, 512)
     n = np.arange(1_000_000) + 0.5
     turn, z = np.pi * (1 + 5**0.5) * n, -np.sqrt(1 - n / len(n))  # as dense as the cosine
     L = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])

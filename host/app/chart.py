@@ -141,7 +141,7 @@ def reference(kind: str, size: int, engine: Backend) -> tuple[Scene, sources.Sou
     """(scene, source, samples, exact irradiance at them)."""
     scene, source = scene_of(kind, size)
     samples = Samples(engine, scene, NODES, FIRST)
-    solid = None if isinstance(source, sources.Sky) else upright(solid_of(scene, source, 1.0, 1.0))
+    solid = None if isinstance(source, sources.Sky) else upright(solid_of(scene, source))
     exact = samples.exact(source, solid)
     if kind == "albedo":
         exact = exact + _between(scene, samples, engine)

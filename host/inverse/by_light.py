@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import sources
-from ..images import number_of
 from ..sources.brightness import Distribution
 from . import diagnostics
 
@@ -42,11 +41,13 @@ def by_light(images: list[np.ndarray], lights: list[sources.Source]) -> Merged:
             listed = f"{', '.join(str(n + 1) for n in alike[:-1])} and {alike[-1] + 1}"
             image, light = np.mean([images[n] for n in alike], axis=0), lights[m]
             name = f"mean of images {listed}"
-            units = [float(images[n].mean()) / number_of(lights[n]) for n in alike]
+            units = [float(images[n].mean()) / sources.number_of(lights[n]) for n in alike]
             if max(units) > (1 + SAME_EXPOSURE) * min(units):
                 merged.warnings.append(diagnostics.of_exposures(listed, max(units) / min(units)))
             if not callable(light.brightness):
-                light = replace(light, brightness=float(np.mean([number_of(lights[n]) for n in alike])))
+                light = replace(
+                    light, brightness=float(np.mean([sources.number_of(lights[n]) for n in alike]))
+                )
         merged.images.append(image)
         merged.lights.append(light)
         merged.names.append(name)

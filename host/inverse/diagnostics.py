@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from .. import sources
-from ..images import number_of
 from ..scene import Scene
 from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
@@ -140,7 +139,7 @@ def of_largest(image: np.ndarray, light: sources.Source, albedo: Any) -> list[st
     if isinstance(light, sources.Sky):
         if np.ndim(albedo) or albedo is None:
             return []
-        level = integrals(light).level if callable(light.brightness) else math.pi * number_of(light)
+        level = integrals(light).level if callable(light.brightness) else math.pi * sources.number_of(light)
         if abs(values[-1] - float(albedo) * level / math.pi) <= SAME_LIGHT * values[-1]:
             return []
     return [

@@ -17,7 +17,6 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Backend
-from ..images import number_of
 from .descent import Descent
 from .lights import Light, brightness_of, light_of
 from .resampling import cubic, doubled, halved
@@ -119,7 +118,7 @@ class Pyramid:
         self.units = [math.sqrt(float(np.mean(np.square(image)))) / IMAGE_RMS for image in images]
         # where brightness is a number, models are of 1: light so many times as strong is a unit so many times
         # as small
-        self.scales = [unit / number_of(source) for unit, source in zip(self.units, lights)]
+        self.scales = [unit / sources.number_of(source) for unit, source in zip(self.units, lights)]
         self.images = [[image / unit for image, unit in zip(images, self.units)]]
         self.bounds = [(near, far)]
         self.albedo_known = albedo is not None

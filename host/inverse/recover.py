@@ -16,7 +16,6 @@ from ..backends.base import Backend, stopwatch, timed, within
 from ..checks import as_real, at, one_of, positive_number, real_array, whole_number
 from ..directions import Hemicube
 from ..errors import bad
-from ..images import number_of
 from ..interreflection import check_choice
 from ..light.propagation import Progress
 from ..scene import Scene, check_spacing
@@ -270,7 +269,7 @@ def _check_light(light: Any) -> None:
         raise bad("source", type(light).__name__, "Sky, Lamp or Window")
     # what has colour, or a sun's disc, is refused here
     sources.radiance(light, np.array([[0.0, 0.0, -1.0]]))
-    if not number_of(light) > 0:
+    if not sources.number_of(light) > 0:
         raise bad("source: brightness", light.brightness, "> 0: nothing can be recovered from darkness")
 
 

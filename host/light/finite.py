@@ -42,13 +42,12 @@ MOST_PANEL_EXTENTS = 2.0**22
 MOST_BALL_EXTENTS = 2.0**40  # the same of a sphere, whose squares stay in float32; suns stand at 1e5
 
 
-def solid_of(
-    scene: Scene, source: sources.Lamp | sources.Window, scale: float, step: float
-) -> Ball | Quad | None:
-    """The shape of a lamp or window, lengths times ``scale`` so that the spacing is ``step``.
+def solid_of(scene: Scene, source: sources.Lamp | sources.Window, step: float = 1.0) -> Ball | Quad | None:
+    """The shape of a lamp or window, in lengths in which the spacing is ``step``.
 
     None for a window outside a dark box, or too far away to light anything.
     """
+    scale = step / scene.spacing
     if isinstance(source, sources.Window):
         (x0, x1), (y0, y1) = np.array(source.x) * scale, np.array(source.y) * scale
         return aperture((x0, x1), (y0, y1), scene.shape, step, scene.sides, scene.deepest * scale)
@@ -83,7 +82,7 @@ def left_below(scene: Scene, lamp: sources.Lamp, engine: Backend) -> float:
     Nodes that are higher than a part of a lamp see that part below their level; horizons, slices and the
     lattice leave it out, since L_z <= 0, and closed forms do not. At samples, as if no ground hid the lamp.
     """
-    solid = upright(solid_of(scene, lamp, 1 / scene.spacing, 1.0))
+    solid = upright(solid_of(scene, lamp))
     assert solid is not None, "a lamp is nowhere cut off"
     lowest = solid.center[2] - solid.radius if isinstance(solid, Ball) else np.min(solid.corners, axis=0)[2]
     if lowest >= 0 or lowest >= (samples := samples_of(engine, scene, LAMP_SAMPLES)).highest:

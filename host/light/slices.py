@@ -14,7 +14,7 @@ import numpy as np
 from ..backends.base import Array, reserve_map
 from ..backends.resident import Resident
 from ..constants import ENDLESS, NONE, SLICES
-from ..sources import Source, radiance
+from ..sources import Source, number_of, radiance
 from ..sources.solids import Ball, Dome, Quad
 from .propagation import Lobe
 
@@ -60,7 +60,7 @@ def brightness_of(source: Source, side: int = BRIGHTNESS_SIDE) -> float | np.nda
     - 1 and 2 j / (side - 1) - 1; beyond the level, that of the level below it.
     """
     if not callable(source.brightness):
-        return _number(source)
+        return number_of(source)
     v, u = np.meshgrid(*(np.linspace(-1, 1, side),) * 2, indexing="ij")
     over = np.maximum(1.0, np.hypot(u, v))
     u, v = u / over, v / over
@@ -71,13 +71,6 @@ def brightness_of(source: Source, side: int = BRIGHTNESS_SIDE) -> float | np.nda
         parts.append(radiance(source, along / (1 + square[some])[..., None]))
     values = np.concatenate(parts)
     return float(values.flat[0]) if np.ptp(values) == 0 else values
-
-
-def _number(source: Source) -> float:
-    """A brightness that is no function."""
-    brightness = source.brightness
-    assert not isinstance(brightness, tuple) and not callable(brightness), "channels are rendered one by one"
-    return float(brightness)
 
 
 def blurred(

@@ -228,11 +228,11 @@ class Sweeps:
         self.light(total, turned, image)
         return DeviceImage(self.backend, image, self.shape, held=self)
 
-    def irradiance(self, last: bool = False) -> np.ndarray:
-        """Irradiance (rows, cols) float32 [brightness x sr]. ``last``: arrays are released after use."""
+    def irradiance(self) -> np.ndarray:
+        """Irradiance (rows, cols) float32 [brightness x sr]; arrays are released, and it is the last call."""
         backend, size = self.backend, (1, math.prod(self.shape))
         turned = backend.empty(size, np.int32, 0)
-        if backend.lines > 1 and self.far is None or not last:
+        if backend.lines > 1 and self.far is None:
             total = backend.empty(size, np.int32, 0)
             self.light(total, turned)
             return backend.download(total).view(np.float32).reshape(self.shape)

@@ -185,20 +185,19 @@ def lap_table(depth: np.ndarray, ways: list[tuple[int, int]], filled: bool) -> n
 def _cycle_minimum(depth: np.ndarray, i: int, j: int, filled: bool) -> np.ndarray:
     """Of every node (rows, cols) float32, the least depth x parts on the cycle of steps (i, j) through it."""
     rows, cols = depth.shape
-    four = np.tile(depth, (2, 2))  # the map beside itself: what is moved is a part of it
 
-    def moved(four: np.ndarray, x: int, y: int) -> np.ndarray:
-        return four[y % rows :, x % cols :][:rows, :cols]
+    def moved(values: np.ndarray, x: int, y: int) -> np.ndarray:
+        return np.roll(values, (-y, -x), (0, 1))
 
     points, parts = crossings_of(i, j, filled)
     least: np.ndarray = depth * np.float32(parts)
     with np.errstate(invalid="ignore"):  # inf x 0 where masked
         for x, y, to_x, to_y, near, far, _, _ in points[:-1]:
-            a, b = moved(four, x, y), moved(four, x + to_x, y + to_y)
+            a, b = moved(depth, x, y), moved(depth, x + to_x, y + to_y)
             ground = np.float32(near + far) * a + np.float32(far) * (b - a)
             least = np.minimum(least, np.where(np.isfinite(a) & np.isfinite(b), ground, np.float32(np.inf)))
     cycle, length = cycle_length(i, j, rows, cols), 1
     while length < cycle:  # the minimum over 1, 2, 4, ... nodes of the cycle
-        least = np.minimum(least, moved(np.tile(least, (2, 2)), i * length, j * length))
+        least = np.minimum(least, moved(least, i * length, j * length))
         length *= 2
     return least

@@ -95,7 +95,7 @@ class FinitePlanner(UnitsPlanner):
 
     def choose(self) -> None:
         samples, brightness = self.samples, self.source.brightness
-        solid = upright(solid_of(self.scene, self.source, 1 / self.scene.spacing, 1.0))
+        solid = upright(solid_of(self.scene, self.source))
         assert solid is not None, "HiddenWindowPlanner takes a window of which nothing is left"
         self.solid = solid
         if isinstance(self.solid, Ball):
@@ -266,7 +266,7 @@ class SlicePlanner(FinitePlanner):
     def _set_parts_apart(self) -> None:
         """Integrate the sky behind a window; the light of its small bright parts, and the rest."""
         there, source = self.scene.on(self.engine), self.source
-        window = solid_of(self.scene, source, there.step / self.scene.spacing, there.step)
+        window = solid_of(self.scene, source, there.step)
         assert isinstance(window, Quad), "a window of which something is left is a quadrangle"
         wide, scale = widened(window, there)
         assert isinstance(wide, Quad), "widening keeps the kind of solid"
@@ -310,7 +310,7 @@ class SlicePlanner(FinitePlanner):
             solid, scale = self.solid, 1.0
             if isinstance(solid, Ball):  # one that float32 holds, as the kernels have it
                 there = self.scene.on(self.engine)
-                whole = solid_of(self.scene, self.source, there.step / self.scene.spacing, there.step)
+                whole = solid_of(self.scene, self.source, there.step)
                 assert isinstance(whole, Ball), "it is in another unit"
                 wide, scale = widened(whole, there)
                 assert isinstance(wide, Ball), "widening keeps the kind of solid"
@@ -322,7 +322,7 @@ class SlicePlanner(FinitePlanner):
     def _make_refinable(self) -> LightMethod:
         scene, source = self.scene, self.source
         step = scene.on(self.engine).step
-        solid = solid_of(scene, source, step / scene.spacing, step)
+        solid = solid_of(scene, source, step)
         assert solid is not None, "HiddenWindowPlanner takes a window of which nothing is left"
         sky = None if self.rays_per_node else self.sky
         return Sliced(self.engine, scene, source, solid, self.units, self.rays_per_node, sky)
@@ -381,7 +381,7 @@ class LinePlanner(FinitePlanner):
 
 def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend) -> bool:
     """Whether a line renders it: it is thin, no lamp in a dark box, and the map small and on the host."""
-    solid = upright(solid_of(scene, source, 1 / scene.spacing, 1.0))
+    solid = upright(solid_of(scene, source))
     walled = isinstance(source, sources.Lamp) and scene.sides == "dark"
     if not isinstance(solid, Quad) or walled or scene.resident is not None:
         return False

@@ -365,6 +365,12 @@ def without_disc(source: Source) -> Source:
     return replace(source, brightness=brightness.without_disc())
 
 
+def number_of(source: Source) -> float:
+    """The brightness of a grey source if that is a number, 1 if it is a function of direction."""
+    value: Any = source.brightness
+    return 1.0 if callable(value) else float(value)
+
+
 def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     """The source's grey brightness along unit vectors (..., 3): (...) float64.
 
