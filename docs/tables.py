@@ -204,6 +204,21 @@ def error_map() -> str:
     return ", ".join(f"{share:.0f} %" for share in shares)
 
 
+def _estimates(least: float) -> str:
+    """Share of images off by at least ``least`` whose estimate is 0.5 to 3 times the true error."""
+    found = [row for row in rows("refinement") if float(row["error"]) >= least]
+    good = [row for row in found if 0.5 <= float(row["estimate"]) / float(row["error"]) <= 3]
+    return f"{100 * len(good) / len(found):.0f} %"
+
+
+def estimates() -> str:
+    return _estimates(0)
+
+
+def estimates_of_errors() -> str:
+    return _estimates(1e-4)
+
+
 # -- whole calls: performance/whole_calls.py -------------------------------------------------------------
 
 CALLS = {
