@@ -143,7 +143,7 @@ def refined(
     while True:
         assessment = assess(planner, method)
         steps.append(Step(method.units, assessment.estimated, assessment.audit))
-        if assessment.within(tolerance) or not planner.refine(assessment.is_mostly_common):
+        if assessment.is_enough(tolerance) or not planner.refine(assessment.is_mostly_common):
             break
         method = planner.method
     made = replace(_record(planner, method, begun, steps), seconds=seconds(), planning_seconds=planning)
@@ -218,7 +218,7 @@ class Assessment(NamedTuple):
         """Whether more than half of the error at the samples is common to both halves."""
         return self.audit is not None and self.common_error > 0.5 * self.audit
 
-    def within(self, tolerance: float) -> bool:
+    def is_enough(self, tolerance: float) -> bool:
         """Whether to stop refining: the error is unknown, or within ESTIMATE_SHARE of the tolerance with few
         nodes beyond the tail. Above that share an image is refined; above the tolerance it has a warning.
         """

@@ -178,6 +178,7 @@ def brightness_of(case):
     if case.light == "band":
         low = float(rng.uniform(0.0, 0.6))
         return Band(low, low + 0.2)
+    assert case.light == "map", case.light
     return sl.environment_map(rng.gamma(0.7, size=(8, 16)))
 
 
