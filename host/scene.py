@@ -106,8 +106,10 @@ class Scene:
     # the depth on a device of Warp's, if it was given there
     resident: Resident | None = field(init=False, repr=False, default=None)
     # values that the lattice methods compare, see lattice(); made on first use
-    _values: np.ndarray = field(init=False, repr=False)
-    _step: float = field(init=False, repr=False)
+    # values that the lattice methods compare, and their step: depth and the spacing, in float32; where every
+    # depth is a whole number of layers, the layers and 1, which is the same comparison without any rounding.
+    # Masked nodes are +inf: they never block
+    lattice: tuple[np.ndarray, float] = field(init=False, repr=False)
     _range: tuple[float, float] = field(init=False, repr=False)  # least and greatest valid depth [length]
     # by how much float32 rounds the depths that were given, if more than ROUNDED and than it need [spacings]
     rounding: float = field(init=False, repr=False, default=0.0)
@@ -214,6 +216,12 @@ class Scene:
         _set(self, resident=kept, _range=(surveyed.least, surveyed.most))
         object.__delattr__(self, "depth")
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, with the host's copy of a map that lies on a device."""
+        if self.resident is not None:
+            _ = self.depth
+        return {name: value for name, value in vars(self).items() if name not in ("resident", "lattice")}
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         for value in state.values():
@@ -222,14 +230,14 @@ class Scene:
 
     def __getattr__(self, name: str) -> Any:
         """Values made on first use: those of the lattice, and the host's copies of a map on a device."""
-        if name in ("depth", "_values", "_step", "_range") and self.__dict__.get("lazy") is not None:
+        if name in ("depth", "lattice", "_range") and self.__dict__.get("lazy") is not None:
             raise bad(
                 "a lazy map",
                 f"a call that needs all of its {self.shape[0]} x {self.shape[1]} nodes",
                 "horizons, sky_view_factor, openness and render, which are lazy too",
                 "For other calls compute() it first.",
             )
-        if name not in ("depth", "_values", "_step") or "_range" not in self.__dict__:
+        if name not in ("depth", "lattice") or "_range" not in self.__dict__:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         kept: Resident | None = self.__dict__.get("resident")
         if kept is None:
@@ -244,7 +252,7 @@ class Scene:
             depth.flags.writeable = False
             _set(self, depth=depth)
         values.flags.writeable = False
-        _set(self, _values=values, _step=step)
+        _set(self, lattice=(values, step))
         return self.__dict__[name]
 
     @classmethod
@@ -276,7 +284,7 @@ class Scene:
         return scene
 
     def on(self, backend: Backend) -> Resident:
-        """The values of :meth:`lattice` on a backend: uploaded once, and kept while the scene lives.
+        """The values of ``lattice`` on a backend: uploaded once, and kept while the scene lives.
 
         A backend keeps the scenes that were used last, up to KEPT of its memory; :meth:`release` ends it.
         """
@@ -287,7 +295,7 @@ class Scene:
             kept.move_to_end(key)
             known: Resident = kept[key][0]
             return known
-        values, step = self.lattice()
+        values, step = self.lattice
         least, most = self._range if step == self.spacing else np.rint(np.array(self._range) / self.spacing)
         uploaded: Resident = resident.upload(backend, values, step, float(least), float(most))
         kept[key] = uploaded, weakref.finalize(self, kept.pop, key, None)
@@ -336,17 +344,10 @@ class Scene:
             raise bad("Scene.valid", "a lazy map", "a map in memory", "Compute its heights first.")
         return np.ones(self.shape, bool) if self.mask is None else self.mask
 
-    def lattice(self) -> tuple[np.ndarray, float]:
-        """Values that the lattice methods compare, and their step: (values, step).
-
-        Depth itself and the spacing, in float32; where every depth is a whole number of layers, the layers
-        and 1, which is the same comparison without any rounding. Masked nodes are +inf: they never block.
-        """
-        return self._values, self._step
-
     def layers(self) -> tuple[np.ndarray, float]:
         """Depth rounded to layers, rint(depth / spacing), and the step 1, for the field and for carving."""
-        return np.rint(self._values.astype(np.float64) / self._step).astype(np.float32), 1.0
+        values, step = self.lattice
+        return np.rint(values.astype(np.float64) / step).astype(np.float32), 1.0
 
 
 def depth_at(scene: Scene, row: int, col: int) -> np.float32:
@@ -550,7 +551,7 @@ def _reflectance(
 def _lattice(
     depth: np.ndarray, mask: np.ndarray | None, spacing: float, most: float
 ) -> tuple[np.ndarray, float]:
-    """What :meth:`Scene.lattice` gives."""
+    """What ``Scene.lattice`` holds."""
 
     def layers(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         whole = np.rint(depth[rows].astype(np.float64) / spacing)

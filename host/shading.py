@@ -43,7 +43,7 @@ def has_mirror(scene: Scene) -> bool:
 
 def tilts(scene: Scene) -> np.ndarray:
     """dz/dx and dz/dy (2, rows, cols) float32, as the kernels have them; 0 where masked."""
-    depth, step = scene.lattice()
+    depth, step = scene.lattice
     out = np.zeros((2, depth.size), np.float32)
     with np.errstate(invalid="ignore"):
         periodic = int(scene.sides == "periodic")

@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 import warnings
+import weakref
 
 import numpy as np
 import pytest
@@ -96,6 +97,17 @@ def test_same_scene_from_every_kind_of_array(other, fast):
         sl.recover(expected, sl.Sky(), layers=5, hemicube=3, backend=fast).depth,
     )
     assert_bits_equal(DEPTH, before)
+
+
+@pytest.mark.parametrize("other", [OnGpu, warp_array, WithDlpack, np.ndarray.tolist])
+def test_brightness_functions_may_return_any_array(other, fast):
+    """What they compute with PyTorch or CuPy, say, is brought to the host."""
+    scene, light = sl.Scene(DEPTH), lambda L: 1 - L[..., 2]
+    expected, got = (
+        sl.render(scene, sl.Sky(function), azimuths=8, backend=fast).image
+        for function in (light, lambda L: other(light(L)))
+    )
+    assert_bits_equal(got, expected)
 
 
 @pytest.mark.parametrize("other", [WithArray, WithDlpack])
@@ -348,6 +360,38 @@ def test_a_map_on_a_gpu_stays_there(library, stays):
         elif library == "torch":
             assert_bits_equal(made.from_dlpack(found).cpu().numpy(), expected)
     assert_bits_equal(host_array(there(DEPTH.astype(np.float64))), DEPTH.astype(np.float64))
+
+
+def device_image():
+    """As a map on a GPU gives it; on Warp's CPU, which has the same arrays."""
+    engine = select("warp:cpu")
+    return resident.DeviceImage(engine, engine.upload(DEPTH.ravel()), DEPTH.shape)
+
+
+def test_an_exported_image_outlives_its_result():
+    """The array that another library made of it holds the memory."""
+    image = device_image()
+    owner, taken = weakref.ref(image.values), np.from_dlpack(image)
+    del image
+    gc.collect()
+    assert owner() is not None
+    assert_bits_equal(taken, DEPTH)
+    del taken
+    gc.collect()
+    assert owner() is None
+
+
+def test_images_and_maps_on_a_device_are_copied():
+    """Pickled as the host's arrays: who reads them may have no such device."""
+    image, scene = device_image(), sl.Scene(warp_array(DEPTH), 2.0, mask=DEPTH > 0.5)
+    again, beside = pickle.loads(pickle.dumps(image)), copy.deepcopy(image)
+    assert isinstance(again, np.ndarray) and beside.values is not image.values
+    for found in (again, np.asarray(beside)):
+        assert_bits_equal(found, DEPTH)
+    for other in (pickle.loads(pickle.dumps(scene)), copy.deepcopy(scene)):
+        assert other.resident is None
+        np.testing.assert_array_equal(other.depth, scene.depth)
+        np.testing.assert_array_equal(*(sl.sky_view_factor(s, backend="warp:cpu") for s in (other, scene)))
 
 
 def test_what_must_have_it_on_the_host_gets_it(fast):
@@ -684,7 +728,7 @@ def test_a_scene_of_any_type_of_numbers(size):
         scene = sl.Scene.from_height(values.astype(kind), mask=mask)
         expected = values[mask].max() - values.astype(float)
         np.testing.assert_array_equal(scene.depth, np.where(mask, expected, np.nan).astype(np.float32))
-        depth, step = scene.lattice()
+        depth, step = scene.lattice
         assert step == 1 and np.isposinf(depth[~mask]).all() and (depth[mask] == expected[mask]).all()
 
 

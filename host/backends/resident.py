@@ -64,6 +64,13 @@ class DeviceImage:
         numbers = 0, float(factor), float(least), count
         self.backend.launch("resident", "shade", (count,), self.values, self.values, one, *numbers)
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> DeviceImage:
+        return self.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as a NumPy array: who reads it may have no such device."""
+        return np.asarray, (np.asarray(self),)
+
     def __len__(self) -> int:
         return self.shape[0]
 

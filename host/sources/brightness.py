@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import host_array
 from ..checks import real_array
 from ..errors import bad
 
@@ -126,7 +127,11 @@ class Function(Distribution):
         return self.peaks
 
     def __call__(self, L: np.ndarray) -> np.ndarray:
-        return self.function(L)
+        made = self.function(L)
+        try:
+            return host_array(made)
+        except Exception as error:
+            raise bad("brightness function: wrong result", str(error), "an array of real numbers") from None
 
 
 def distribution(function: BrightnessFunction) -> Distribution:

@@ -267,7 +267,7 @@ def channels(source: Source) -> list[Source]:
     if not callable(brightness):
         return [source]
     probe = directions_of(np.array([0.3, 2.0]), np.array([0.2, 0.9]))
-    if np.shape(brightness(probe.copy())) != (2, 3):
+    if np.shape(distribution(brightness)(probe.copy())) != (2, 3):
         return [source]
     return [replace(source, brightness=Channel(distribution(brightness), number)) for number in range(3)]
 
@@ -388,14 +388,15 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
         )
     if not callable(brightness):
         return np.full(directions.shape[:-1], float(brightness))
-    if distribution(brightness).disc() is not None:  # so narrow that samples would miss it, or overrate it
+    function = distribution(brightness)
+    if function.disc() is not None:  # so narrow that samples would miss it, or overrate it
         raise bad(
             "brightness: a sky with the sun's disc (direct)",
             "a method, source or sides without it",
             "render of a Sky by default, or by 'horizon' or 'unoccluded' on sides 'open' or 'dark'",
             "Leave direct out.",
         )
-    values = np.asarray(brightness(directions.copy()))
+    values = np.asarray(function(directions.copy()))
     if values.dtype.kind not in "iuf" or values.shape not in ((), directions.shape[:-1]):
         raise bad(
             "brightness function: wrong result",
