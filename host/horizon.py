@@ -17,6 +17,7 @@ from .errors import CapacityError, bad
 from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .render_options import sectors_of
+from .samples import samples_of
 from .scale import limited, over_tiles
 from .scene import Scene, is_scene
 from .sources.tables import elevation_of
@@ -100,6 +101,19 @@ def horizons(
         mapped.coords["azimuth"].attrs.update(AZIMUTH_ATTRIBUTES)
     slopes: np.ndarray = mapped
     return slopes
+
+
+def horizon_at(scene: Scene, row: int, col: int, angles: np.ndarray, backend: str) -> np.ndarray:
+    """The horizon's slope at one node, at least 0, by exact rays along ``angles`` [rad] of the map's own axes.
+
+    (azimuths,) float64.
+    """
+    scene, engine = scene.under_sky(), engine_of(scene, backend)
+    with engine.lock:
+        samples = samples_of(engine, scene)
+        samples.set_nodes(np.array([col]), np.array([row]))
+        samples.gx = samples.gy = np.zeros(1)  # ground that rises from the node hides, its tangent plane not
+        return samples.horizons(angles)[:, 0]
 
 
 def _slopes(

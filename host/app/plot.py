@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 
 from .. import oracle, sources
 from ..checks import positive_number, whole_number
+from ..directions import angles_on
 from ..errors import bad, lacking
-from ..horizon import horizons
+from ..horizon import horizon_at
 from ..inverse.recover import Recovery
 from ..io.paths import StrPath, destination, replacing
 from ..scene import Scene, is_scene
@@ -160,9 +161,9 @@ def horizon(
     sun = None
     if isinstance(source.brightness, CieSky) and source.brightness.direct:
         sun, source = source.brightness.sun, sources.Sky(replace(source.brightness, direct=0.0))
-    turn = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
-    slopes = np.asarray(horizons(scene, azimuths, backend)[:, row, col], float)
-    elevation = np.degrees(np.arctan(np.maximum(slopes, 0)))
+    turn = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths  # from east towards south
+    on_map = angles_on(scene.axes, turn)
+    elevation = np.degrees(np.arctan(horizon_at(scene, row, col, on_map, backend)))
     compass = turn + np.pi / 2  # from north, clockwise
 
     figure = _figure(6.4, 5.6)
@@ -170,7 +171,7 @@ def horizon(
     mesh = _draw_sky(axes, source, turn, elevation)
     ring = np.append(compass, compass[0] + 2 * np.pi)
     axes.plot(ring, np.append(90 - elevation, 90 - elevation[0]), color="k", lw=1.5, label="horizon")
-    plane = _tangent_plane(scene, row, col, turn)
+    plane = _tangent_plane(scene, row, col, on_map)
     plane = np.where(plane > 0, 90 - plane, np.nan)
     if np.isfinite(plane).any():
         axes.plot(ring, np.append(plane, plane[0]), color="w", lw=1.2, ls="--", label="tangent plane")
@@ -205,7 +206,7 @@ def _draw_sky(axes: PolarAxes, source: sources.Sky, turn: np.ndarray, elevation:
 
 
 def _tangent_plane(scene: Scene, row: int, col: int, turn: np.ndarray) -> np.ndarray:
-    """Elevation [degree] of the surface's tangent plane at a node, in the azimuths ``turn`` [rad]."""
+    """Elevation [degree] of a node's tangent plane, in the azimuths ``turn`` [rad] of the map's own axes."""
     near = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
     tilts = oracle.gradient(scene.depth[near], scene.spacing, scene.valid[near])
     gx, gy = (tilt[min(row, 1), min(col, 1)] for tilt in tilts)
