@@ -104,8 +104,7 @@ def horizons(
 
 
 def horizon_at(scene: Scene, row: int, col: int, angles: np.ndarray, backend: str) -> np.ndarray:
-    """The horizon's slope at one node, at least 0, by exact rays along ``angles`` [rad] of the map's own axes.
-
+    """The horizon's slope at one node, at least 0, by exact rays along ``angles`` [rad] of the map's axes:
     (azimuths,) float64.
     """
     scene, engine = scene.under_sky(), engine_of(scene, backend)

@@ -64,9 +64,7 @@ def test_sectors_lie_as_the_ray_goes(valley, fast):
 
 
 def test_sky_above_a_pixel(fast):
-    """The line is sl.horizons', traced for this node alone, north up; only sky above it has colour; the factor
-    is the library's.
-    """
+    """The line is sl.horizons', north up; only sky above it has colour; the factor is the library's."""
     scene = sl.Scene.from_height(HILLS.max() - HILLS, sides="open")
     sky = sl.Sky(sl.cie_clear((90, 40), direct=3.0))
     figure = plot.horizon(scene, 12, 30, sky, azimuths=90, backend=fast)

@@ -77,7 +77,7 @@ def test_settings_reach_the_image(file, fast):
     ):  # fmt: skip
         assert not np.array_equal(viewer.refined(replace(start, **changes)).image, image), changes
     large = view.Map(np.zeros((400, 330)), True, 3.0, None, ())
-    assert large.stride == 2
+    assert large.coarse == (slice(1, None, 2), slice(1, None, 2))
     coarse = view.Viewer(large, fast).coarse(view.Settings())
     assert coarse.image.shape == (200, 165) and view.Viewer(large, fast).tones(coarse.image).shape == (
         400,
@@ -105,15 +105,50 @@ def test_nodata_moves_no_lamp_and_ends_no_frame(fast):
     assert np.isfinite(sparse.coarse(view.Settings()).image).any()
 
 
+def test_heights_of_16_bits_are_exaggerated(fast):
+    """The page sends whole numbers as such, and 4 times 8843 m in int16 is a pit."""
+    ground = view.Map(np.array([[5000, 8843]], np.int16), True, 90.0, None, ("values, mask, spacing = V",))
+    viewer, settings = view.Viewer(ground, fast), view.Settings(exaggeration=4)
+    for coarse in (False, True):
+        np.testing.assert_array_equal(viewer.scene(settings, coarse).depth, [[4 * 3843, 0]])
+    names = {"V": (ground.values, None, 90.0)}
+    exec(viewer.code(settings), names)
+    np.testing.assert_array_equal(names["scene"].depth, [[4 * 3843, 0]])
+
+
+@pytest.mark.parametrize("is_height", [True, False])
+def test_coarse_and_whole_image_have_the_lamp_at_one_place(is_height, fast):
+    """Over a tower that the coarse map misses; its nodes are in the middle of those that they stand for."""
+    height = np.zeros((480, 960))
+    height[200, 401] = 300.0
+    ground = view.Map(height if is_height else 400 - height, is_height, 2.0, None, ())
+    viewer = view.Viewer(ground, fast)
+    settings = view.Settings("lamp", lamp=(0.8, 0.7), lamp_height=0.03, lamp_radius=0.02)
+    assert ground.coarse == (slice(3, None, 6), slice(3, None, 6)) and not height[ground.coarse].any()
+    quick, whole = viewer.coarse(settings).image, viewer.refined(settings).image
+    np.testing.assert_allclose(quick[:, 90:], whole[ground.coarse][:, 90:], rtol=0.02)
+    np.testing.assert_array_equal(viewer.tones(quick)[ground.coarse], viewer.tones(quick)[::6, ::6])
+
+
+@pytest.mark.parametrize("spacing", [1e-8, 1.0, 1e9])
+def test_lamps_have_a_size_in_every_unit(spacing, fast):
+    """They were rounded to six decimals."""
+    viewer = view.Viewer(view.Map(np.zeros((20, 30)), True, spacing, None, ()), fast)
+    lamp = viewer.source(view.Settings("lamp"))
+    assert lamp.radius == pytest.approx(1.5 * spacing) and lamp.center == pytest.approx(
+        (15 * spacing, 10 * spacing, -6 * spacing)
+    )
+
+
 @contextmanager
-def page(file):
+def page(file, *options):
     """The address of a page that serves ``file``."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     # pytest's own environment variables would put NiceGUI into its test mode
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST", "NICEGUI"))}
-    words = "view", str(file), "--height", "--port", str(port), "--no-browser"
+    words = "view", str(file), "--height", "--port", str(port), "--no-browser", *options
     served = subprocess.Popen([sys.executable, "-m", "skylamp", *words], env=clean, stderr=subprocess.PIPE)
     try:
         for _ in range(600):
@@ -139,22 +174,28 @@ def until(found, what, seconds=120):
     pytest.fail(f"not within {seconds} s: {what}")
 
 
-@pytest.mark.slow
-def test_drag_change_click_and_save_in_a_browser(file, tmp_path):
-    """Headless Chromium, Debian's: the picture follows the mouse, is refined at rest, and is saved."""
+def chromium(downloads):
+    """Headless Chromium, Debian's."""
     assert Path(CHROMIUM).exists() and Path(DRIVER).exists(), "apt-get install chromium chromium-driver"
     from selenium import webdriver
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.common.keys import Keys
 
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
     for word in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,1000"):
         options.add_argument(word)
-    options.add_experimental_option("prefs", {"download.default_directory": str(tmp_path)})
+    options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
+    return webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+
+
+@pytest.mark.slow
+def test_drag_change_click_and_save_in_a_browser(file, tmp_path):
+    """Headless Chromium, Debian's: the picture follows the mouse, is refined at rest, and is saved."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
     with page(file) as address:
-        browser = webdriver.Chrome(options, webdriver.ChromeService(DRIVER))
+        browser = chromium(tmp_path)
         try:
             browser.get(address)
             status = lambda: browser.find_element(By.CSS_SELECTOR, ".status").text
@@ -188,3 +229,30 @@ def test_drag_change_click_and_save_in_a_browser(file, tmp_path):
     saved = imageio.imread(tmp_path / "skylamp.png")
     viewer = view.Viewer(view.read(file, True, None, False))
     np.testing.assert_array_equal(saved, viewer.tones(np.asarray(names["image"])))
+
+
+@pytest.mark.slow
+def test_a_narrow_map_with_nodata_in_a_browser(tmp_path):
+    """It is large enough to be dragged, a short drag is one, and what fails is said and ends nothing."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.by import By
+
+    height = np.arange(32.0).reshape(2, 16) % 5
+    height[:, 8:] = np.nan
+    np.save(tmp_path / "narrow.npy", height)
+    with page(tmp_path / "narrow.npy", "--nodata", "nan") as address:
+        browser = chromium(tmp_path)
+        try:
+            browser.get(address)
+            status = lambda: browser.find_element(By.CSS_SELECTOR, ".status").text
+            picture = browser.find_element(By.CSS_SELECTOR, ".picture img")
+            until(lambda: status().startswith("refined"), "the first image")
+            assert picture.size == {"width": 512, "height": 64}
+            ActionChains(browser).move_to_element_with_offset(picture, 150, 0).click().perform()
+            until(lambda: "not masked" in status(), "why there is no horizon")
+            drag = ActionChains(browser).move_to_element_with_offset(picture, -100, 0).click_and_hold()
+            drag.move_by_offset(20, 5).release().perform()
+            until(lambda: status().startswith("refined"), "the image after that")
+            assert "135.0, 35.0" not in browser.find_element(By.CSS_SELECTOR, "code").text
+        finally:
+            browser.quit()

@@ -13,7 +13,9 @@ import importlib
 import io as streams
 import math
 import socket
-from dataclasses import dataclass, replace
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ import numpy as np
 
 from .. import io
 from ..directions import Azimuths
-from ..errors import bad, lacking
+from ..errors import SkylampError, bad, lacking
 from ..images import Rendering
 from ..rendering import render
 from ..scene import Scene
@@ -36,7 +38,9 @@ from .parsing import INTERREFLECTION, raster_of, without
 COARSE_SIDE = 160  # [node] of the map that is rendered while the mouse moves; twice takes four times as long
 COARSE_AZIMUTHS = 8  # in which it is; half of it shows as stripes
 REST = 0.35  # [second] without a change after which the whole map is rendered; chosen
-CLICK = 4.0  # [pixel] by which the mouse may move in a click; chosen
+CLICK = 4.0  # [pixel of the screen] by which the mouse may move in a click; chosen
+# [pixel of the screen], longer side of the picture, and least of the other; chosen
+SIDE, LEAST_SIDE = 512, 64
 WHITE_PERCENTILE = 99.5  # of an image, which becomes white
 GAMMA = 2.2
 SOURCES = ("uniform sky", "overcast sky", "clear sky", "lamp")
@@ -58,6 +62,12 @@ class Settings:
     tolerance: float = 0.01
     interreflection: str = "off"
 
+    def __post_init__(self) -> None:
+        """Whole numbers of the page become floats: 4 times heights of 16 bits would stay in 16 bits."""
+        for control in fields(self):
+            if control.type == "float":
+                object.__setattr__(self, control.name, float(getattr(self, control.name)))
+
 
 @dataclass(frozen=True, eq=False)
 class Map:
@@ -70,12 +80,20 @@ class Map:
     lines: tuple[str, ...]
 
     @cached_property
-    def stride(self) -> int:
-        """Nodes from one to the next of the coarse map, which has a valid node."""
+    def coarse(self) -> tuple[slice, slice]:
+        """Rows and columns of the coarse map, in the middle of those that they stand for; a node is valid."""
         stride = max(1, int(max(self.values.shape)) // COARSE_SIDE)
-        while stride > 1 and self.mask is not None and not self.mask[::stride, ::stride].any():
+        while True:
+            rows, cols = (slice(min(stride // 2, (n - 1) // 2), None, stride) for n in self.values.shape)
+            if stride == 1 or self.mask is None or self.mask[rows, cols].any():
+                return rows, cols
             stride -= 1
-        return stride
+
+    @cached_property
+    def nearest(self) -> float:
+        """The highest valid height, or the least valid depth."""
+        values = self.values if self.mask is None else self.values[self.mask]
+        return float(np.max(values) if self.is_height else np.min(values))
 
 
 def read(
@@ -85,7 +103,8 @@ def read(
     found = _read(file, height, spacing, resample)
     if nodata is None:
         return found
-    known = "values == values  # not nan" if np.isnan(nodata) else f"values != {nodata!r}"
+    number = repr(nodata) if math.isfinite(nodata) else f"float({str(nodata)!r})"
+    known = "values == values  # not nan" if math.isnan(nodata) else f"values != {number}"
     lines = *found.lines, f"known = {known}", "mask = known if mask is None else mask & known"
     return replace(found, mask=without(nodata, found.values, found.mask), lines=lines)
 
@@ -117,16 +136,18 @@ class Viewer:
         """The scene, of every few nodes alone if ``coarse``; the last two are kept."""
         key = settings.exaggeration, settings.albedo, coarse
         if key not in self._scenes:
-            ground, step = self.ground, self.ground.stride if coarse else 1
+            ground, nodes = self.ground, self.ground.coarse if coarse else np.s_[::1, ::1]
             make = Scene.from_height if ground.is_height else Scene
-            mask = None if ground.mask is None else ground.mask[::step, ::step]
-            values = settings.exaggeration * ground.values[::step, ::step]
+            mask, values = None if ground.mask is None else ground.mask[nodes], ground.values[nodes]
+            if coarse and ground.is_height:  # counted from the highest of all nodes, as the lamp is
+                make, values = Scene, ground.nearest - values.astype(float)
             kept = [(k, s) for k, s in self._scenes.items() if k[2] != coarse]
             self._scenes = dict(kept)
-            self._scenes[key] = make(values, step * ground.spacing, settings.albedo, mask)
+            spacing = nodes[0].step * ground.spacing
+            self._scenes[key] = make(settings.exaggeration * values, spacing, settings.albedo, mask)
         return self._scenes[key]
 
-    def source(self, settings: Settings) -> Source:
+    def source(self, settings: Settings, coarse: bool = False) -> Source:
         """The source, over the scene of these settings."""
         if settings.source == "uniform sky":
             return Sky()
@@ -134,26 +155,25 @@ class Viewer:
             return Sky(cie_overcast())
         if settings.source == "clear sky":
             return Sky(cie_clear((settings.azimuth, settings.elevation), direct=SUN_LIGHT))
-        return Lamp(center=self._center(settings), radius=self._length(settings.lamp_radius))
+        x, y, z = self._center(settings)
+        if coarse:  # counted from the first node of the coarse map
+            x, y = (at - s.start * self.ground.spacing for at, s in zip((x, y), self.ground.coarse[::-1]))
+        return Lamp(center=(x, y, z), radius=self._length(settings.lamp_radius))
 
     def _length(self, share: float) -> float:
         """[unit of spacing]."""
-        return round(share * float(max(self.ground.values.shape)) * self.ground.spacing, 6)
+        return _short(share * float(max(self.ground.values.shape)) * self.ground.spacing)
 
     def _center(self, settings: Settings) -> tuple[float, float, float]:
         """The lamp's centre, so far above the highest node that it stands clear of it."""
         rows, cols = self.ground.values.shape
-        x, y = (round(at * n * self.ground.spacing, 6) for at, n in zip(settings.lamp, (cols, rows)))
-        above = 0.0 if self.ground.is_height else self._least(settings)
-        return x, y, above - self._length(settings.lamp_height + settings.lamp_radius)
-
-    def _least(self, settings: Settings) -> float:
-        values, mask = self.ground.values, self.ground.mask
-        return round(settings.exaggeration * float(np.min(values if mask is None else values[mask])), 6)
+        x, y = (_short(at * n * self.ground.spacing) for at, n in zip(settings.lamp, (cols, rows)))
+        least = 0.0 if self.ground.is_height else settings.exaggeration * self.ground.nearest
+        return x, y, _short(least - self._length(settings.lamp_height + settings.lamp_radius))
 
     def coarse(self, settings: Settings) -> Rendering:
         """A quick image of every few nodes."""
-        scene, source = self.scene(settings, True), self.source(settings)
+        scene, source = self.scene(settings, True), self.source(settings, True)
         azimuths: Any = COARSE_AZIMUTHS
         if isinstance(source, Sky):  # even ones: to place them by brightness takes a third of the time
             azimuths = Azimuths(COARSE_AZIMUTHS)
@@ -167,12 +187,17 @@ class Viewer:
 
     def tones(self, image: np.ndarray) -> np.ndarray:
         """(rows, cols) uint8 of the whole map's shape."""
-        rows, cols = self.ground.values.shape
-        step = 1 if image.shape == (rows, cols) else self.ground.stride
         white = float(np.nanpercentile(image, WHITE_PERCENTILE)) or 1.0
-        shown = np.nan_to_num(np.clip(image / white, 0, 1)) ** (1 / GAMMA)
-        whole = np.rint(255 * shown).astype(np.uint8).repeat(step, 0).repeat(step, 1)
-        return np.ascontiguousarray(whole[:rows, :cols])
+        shown = np.rint(255 * np.nan_to_num(np.clip(image / white, 0, 1)) ** (1 / GAMMA)).astype(np.uint8)
+        if image.shape == self.ground.values.shape:
+            return shown
+        stride = self.ground.coarse[0].step
+        at = (
+            np.minimum(np.arange(n) // stride, here - 1)
+            for n, here in zip(self.ground.values.shape, image.shape)
+        )
+        tones: np.ndarray = shown[np.ix_(*at)]
+        return tones
 
     def code(self, settings: Settings) -> str:
         """Python lines that make the refined image."""
@@ -205,6 +230,11 @@ class Viewer:
         return buffer.getvalue()
 
 
+def _short(length: float) -> float:
+    """With as many digits as a reader wants, whatever the unit is."""
+    return float(f"{length:.9g}")
+
+
 def data_url(content: bytes, kind: str) -> str:
     """``content`` as a source of an image element."""
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
@@ -217,20 +247,24 @@ class Page:
         self.viewer, self.ui, self.run = viewer, ui, run
         self.settings, self.image = Settings(), np.zeros((1, 1), np.uint8)
         self.changed = asyncio.Event()
-        self.pressed: tuple[float, float] | None = None
+        self.pressed: tuple[float, float] | None = None  # where the button went down [pixel of the screen]
         self.dragged = False  # since the button was pressed: a drag may end where it began
         self.frames, self.running = 0, False
         rows, cols = viewer.ground.values.shape
+        # width and height of the picture [pixel of the screen]
+        self.side = [max(LEAST_SIDE, SIDE * n / max(rows, cols)) for n in (cols, rows)]
         with ui.row().classes("w-full no-wrap"):
             with ui.column():
                 events = ["mousedown", "mousemove", "mouseup"]
                 self.picture = ui.interactive_image(
                     size=(cols, rows), on_mouse=self._mouse, events=events, cross=False
                 )
-                self.picture.classes("picture").style("width: 512px; touch-action: none")
+                width, height = self.side
+                self.picture.classes("picture")
+                self.picture.style(f"width: {width:.0f}px; height: {height:.0f}px; touch-action: none")
                 self.status = ui.label("rendering").classes("status")
-                self.plan = ui.label("").style("max-width: 512px")
-                self.horizon = ui.image().style("width: 512px")
+                self.plan = ui.label("").style(f"max-width: {SIDE}px")
+                self.horizon = ui.image().style(f"width: {SIDE}px")
                 self.horizon.set_visibility(False)
             with ui.column().style("min-width: 22em"):
                 self._controls()
@@ -272,16 +306,18 @@ class Page:
 
     def _mouse(self, event: Any) -> None:
         """Press and move: the sun or the lamp follows. Press and release at one place: the node's horizon."""
-        at = event.image_x, event.image_y
+        at = event.image_x, event.image_y  # [node]
+        rows, cols = self.viewer.ground.values.shape
+        place = at[0] / cols * self.side[0], at[1] / rows * self.side[1]
         if event.type == "mousedown":
-            self.pressed, self.dragged = at, False
+            self.pressed, self.dragged = place, False
         elif self.pressed is None:
             return
         elif event.type == "mouseup":
             self.pressed = None
             if not self.dragged:
                 self.ui.timer(0.01, lambda: self._show_horizon(*at), once=True)
-        elif event.buttons and (self.dragged or math.dist(at, self.pressed) > CLICK):
+        elif event.buttons and (self.dragged or math.dist(place, self.pressed) > CLICK):
             self.dragged = True
             self._ask(self._moved(*at))
 
@@ -318,7 +354,7 @@ class Page:
             return
         self.frames += 1
         self.status.set_text(f"frame {self.frames}: {1000 * done.seconds:.0f} ms, every"
-                             f" {self.viewer.ground.stride} nodes")  # fmt: skip
+                             f" {self.viewer.ground.coarse[0].step} nodes")  # fmt: skip
 
     async def _refine(self, settings: Settings) -> None:
         if (done := await self._shown(self.viewer.refined, settings)) is None:
@@ -331,14 +367,14 @@ class Page:
         self.code.set_content(self.viewer.code(settings))
 
     async def _shown(self, rendered: Any, settings: Settings) -> Rendering | None:
-        """The rendering, once its picture is on the page; None where the server ends."""
+        """The rendering, once its picture is on the page; None where it fails, or the server ends."""
 
         def drawn() -> tuple[Rendering, np.ndarray, bytes]:
             done = rendered(settings)
             image = self.viewer.tones(np.asarray(done.image))
             return done, image, imageio.imwrite("<bytes>", image, extension=".jpg", quality=85)
 
-        shown: tuple[Rendering, np.ndarray, bytes] | None = await self.run.io_bound(drawn)
+        shown: tuple[Rendering, np.ndarray, bytes] | None = await self._done(drawn)
         if shown is None:
             return None
         done, self.image, encoded = shown
@@ -348,11 +384,20 @@ class Page:
     async def _show_horizon(self, x: float, y: float) -> None:
         rows, cols = self.viewer.ground.values.shape
         row, col = min(rows - 1, max(0, int(y))), min(cols - 1, max(0, int(x)))
-        drawn = await self.run.io_bound(self.viewer.horizon_plot, self.settings, row, col)
-        if drawn is None:  # the server ends
-            return
-        self.horizon.set_source(data_url(drawn, "png"))
-        self.horizon.set_visibility(True)
+        drawn = await self._done(self.viewer.horizon_plot, self.settings, row, col)
+        self.horizon.set_visibility(drawn is not None)
+        if drawn is not None:
+            self.horizon.set_source(data_url(drawn, "png"))
+
+    async def _done(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        """What ``work`` returns; None where it fails, which the page says, or the server ends."""
+        try:
+            return await self.run.io_bound(work, *arguments)
+        except Exception as error:  # the page goes on
+            self.status.set_text(str(error) or type(error).__name__)
+            if not isinstance(error, SkylampError):
+                traceback.print_exc()
+            return None
 
     def _save(self) -> None:
         self.ui.download(imageio.imwrite("<bytes>", self.image, extension=".png"), "skylamp.png")
