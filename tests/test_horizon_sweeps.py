@@ -315,6 +315,14 @@ def test_reach_beyond_a_map_that_repeats(fast):
     assert errors.max() <= AGREE and rms(errors) <= 0.004
 
 
+def test_a_profile_that_repeats_is_swept_over_few_rows(fast):
+    """As many as its relief needs, in either direction, however long it is: time went with the square."""
+    profile = np.sin(np.arange(5000.0) / 9)[None]
+    for height in (profile, profile.T):
+        for half in Sweeps(select(fast), ground(fast, height, "periodic"), RAYS["even"]).halves:
+            assert half.warm <= max(half.rows, 201)
+
+
 @pytest.mark.slow
 def test_reach_beyond_a_narrow_map_with_a_cliff(backend):
     """The ladder's integers hold falls over a window that is longer than the map has rows."""

@@ -367,7 +367,7 @@ class Sweeps:
         rows, cols = self.shape[:: -1 if turned else 1]
         warm, endless = 0, float(rows + cols)
         if self.sides == "periodic":
-            endless = max(rows, cols, self.relief / LEAST_SEARCHED_SLOPE)
+            endless = max(rows, self.relief / LEAST_SEARCHED_SLOPE)
             warm = math.ceil(min(self.reach + 1, endless))
             _check_search(self.backend, self.relief, warm, len(_numbers_of(self.rays.angles, turned)))
         angles, widths = (part.astype(float).tobytes() for part in self.rays[:2])
