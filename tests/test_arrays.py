@@ -820,7 +820,7 @@ def test_maps_and_images_stay_on_a_gpu(name, masked):
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
-def test_light_between_surfaces_of_a_map_on_a_gpu(monkeypatch, factor):
+def test_light_between_surfaces_of_a_map_on_a_gpu(monkeypatch, factor, stays):
     """It starts from the direct light of brightness 1, whatever was made of that on the device."""
     ground = WIDE[:40, :48].copy()
     work = lambda scene: sl.render(scene, sl.Sky(factor), tolerance=0.05, backend="warp:cpu")
@@ -828,6 +828,7 @@ def test_light_between_surfaces_of_a_map_on_a_gpu(monkeypatch, factor):
     assert plain.interreflection.included
     monkeypatch.setattr(select("warp:cpu"), "shares", False)
     there = work(sl.Scene(warp_array(ground)))
+    assert isinstance(there.image, resident.DeviceImage)
     np.testing.assert_allclose(np.asarray(there.image), plain.image, rtol=1e-5)
 
 
