@@ -617,7 +617,8 @@ def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) 
     if scene.lazy is None:
         heights = np.negative(scene.depth)
         mapped = np.where(np.isnan(heights), heights, np.float32(0)) + np.zeros((*leading, 1, 1), np.float32)
-        image = _area(work, scene.spacing, rows, cols, heights[given], np.nanmax(heights), albedo)
+        # the plane z = 0 is the viewer's, which need not touch the ground
+        image = _area(work, scene.spacing, rows, cols, heights[given], 0.0, albedo)
         mapped[part] = image[inner]
         return mapped
     da = importlib.import_module("dask.array")
@@ -648,7 +649,7 @@ def _area(
     highest: float,
     albedo: Any,
 ) -> np.ndarray:
-    """``work`` of the part of a map whose ``highest`` ground is given."""
+    """``work`` of a part of a map; ``highest``: height of the plane z = 0."""
     valid = _valid(window)
     if valid is not None and not valid.any():
         return np.full((*((3,) if work.in_colour else ()), *window.shape), np.nan, np.float32)
