@@ -184,6 +184,37 @@ def test_layers_are_bands(tmp_path, fast):
         np.testing.assert_array_equal(file.read(), expected)
 
 
+def test_holes_stay_holes_when_heights_are_written_again(tmp_path):
+    """Of files with a scale and an offset, with a band of masks, and of resampled cells."""
+    rasterio = pytest.importorskip("rasterio")
+    about = dict(driver="GTiff", width=30, height=24, count=1, crs="EPSG:32632")
+    square, oblong = (rasterio.transform.from_origin(4e5, 5e6, 30, north) for north in (30, 20))
+    values = np.arange(720, dtype=np.int16).reshape(24, 30)
+    values[4:9, 7:15] = -9999
+    with rasterio.open(
+        tmp_path / "scaled.tif", "w", dtype="int16", nodata=-9999, transform=square, **about
+    ) as f:
+        f.write(values, 1)
+        f.scales, f.offsets = (0.1,), (5.0,)
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+        with rasterio.open(tmp_path / "band.tif", "w", dtype="float32", transform=square, **about) as f:
+            f.write(values.astype(np.float32), 1)
+            f.write_mask(values != -9999)
+    with rasterio.open(
+        tmp_path / "oblong.tif", "w", dtype="int16", nodata=-9999, transform=oblong, **about
+    ) as f:
+        f.write(values, 1)
+    for name in ("scaled", "band", "oblong"):
+        first = geo.read(tmp_path / f"{name}.tif", resample=name == "oblong")
+        geo.write(tmp_path / "again.tif", first.values.astype(np.float32), first)
+        again = geo.read(tmp_path / "again.tif")
+        assert not first.mask.all() and np.array_equal(again.mask, first.mask), name
+        np.testing.assert_allclose(again.values[again.mask], first.values[again.mask], rtol=1e-6)
+        filled = np.where(first.mask, first.values, 7.25).astype(np.float32)
+        geo.write(tmp_path / "filled.tif", filled, first)
+        assert geo.read(tmp_path / "filled.tif").mask.all()
+
+
 def test_nodata_that_is_a_value(tmp_path):
     """No data is 0 in the file, and shadows are 0 too: holes become NaN instead of swallowing the shadows."""
     raster = geo.read(make(tmp_path / "dem.tif", nodata=0))

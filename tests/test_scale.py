@@ -633,6 +633,15 @@ def test_lamps_light_what_is_within_their_reach(dem, fast):
     assert np.nanmax(image) == 0
 
 
+@pytest.mark.parametrize("z", [-4.0, 4.0])
+def test_lamps_in_tiles_count_z_from_the_viewer(fast, z):
+    """Level ground 10 deep under a sphere gets rho (r / distance)^2, in tiles as on the whole map."""
+    scene = sl.Scene(np.full((90, 120), 10.0), albedo=0.5)
+    options = dict(max_distance=25, tiling=sl.Tiling(tile=32, halo=16, rule=16), interreflection=False)
+    image = sl.render(scene, sl.Lamp(center=(44, 50, z), radius=2), backend=fast, **options).image
+    assert image[50, 44] == pytest.approx(0.5 * 4 / (10 - z) ** 2, rel=1e-3)
+
+
 def test_a_lamp_that_lights_too_much_is_refused(dem, fast, monkeypatch):
     """Its area is rendered at once; the error says what bounds it."""
     monkeypatch.setattr("skylamp.scale.MOST_PIXELS", 10_000)

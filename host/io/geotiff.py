@@ -224,9 +224,9 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
     georeference of ``like``, whole or not at all, in the array's own type.
 
     The nodata value of a floating array is NaN, whatever that of ``like`` is, which a valid node may have;
-    where ``like`` is masked, its nodata value becomes NaN. A whole-number array keeps the nodata value of
-    ``like`` if it fits its type. Raises InputError for another shape or type, or a path that cannot be
-    written.
+    where ``like`` is masked and the array still has its value or its nodata value, it becomes NaN. A
+    whole-number array keeps the nodata value of ``like`` if it fits its type. Raises InputError for another
+    shape or type, or a path that cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
@@ -248,8 +248,10 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
         )
     nodata = like.nodata
     if array.dtype.kind == "f":
+        unset = array == like.values.astype(array.dtype)  # not what was computed there
         if nodata is not None:
-            array = np.where(~like.mask & (array == nodata), array.dtype.type(np.nan), array)
+            unset |= array == nodata
+        array = np.where(~like.mask & unset, array.dtype.type(np.nan), array)
         nodata = np.nan
     elif nodata is not None:
         info = np.iinfo(array.dtype)
