@@ -109,6 +109,21 @@ def test_the_sky_of_a_map_whose_rows_run_north(fast):
         np.testing.assert_allclose(one.get_ydata(), other.get_ydata(), atol=1e-4)
 
 
+@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (-1, 1), (1, -1), (-1, -1)])
+def test_a_map_is_drawn_north_up(rows, cols):
+    """By the coordinates of a DataArray; what has no value, or is masked, has no grey."""
+    xr = pytest.importorskip("xarray")
+    height = np.arange(12.0).reshape(3, 4)
+    height[0, 1] = np.nan
+    dem = xr.DataArray(height, {"y": -1.0 * np.arange(3), "x": np.arange(4.0)}, ("y", "x"))[::rows, ::cols]
+    masked = np.ma.masked_invalid(height)
+    for given in (dem, masked, height):
+        (shown,) = plot.terrain(given, 30.0).axes[0].images
+        np.testing.assert_array_equal(shown.get_array().filled(np.nan), height)
+        assert np.ptp(shown.get_cmap().get_bad()[:3]) > 0.1
+        assert shown.axes.get_ylim() == (2.5, -0.5)
+
+
 @pytest.mark.slow
 def test_panels(fast):
     """Image, depth, truth, error and confidence with their own values, both depths on one scale."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import oracle, sources
+from ..arrays import axes_of, labels_of
 from ..checks import positive_number, whole_number
 from ..directions import angles_on
 from ..errors import bad, lacking
@@ -35,6 +36,7 @@ DISCS = 12  # along the longer side of a section, unless asked otherwise
 RADIUS = 0.42  # of a disc, as a share of the distance between discs
 GREYS = "0.2", "0.72"  # black, and the brightest surface; the source is white
 GROUND = "#6b5b4b"
+MISSING = "#7fa7d9"  # of nodes without a value: no grey
 
 
 def field(
@@ -284,9 +286,10 @@ def terrain(
 ) -> Figure:
     """A map of values (rows, cols) with north, a scale bar and a scale of the values.
 
-    spacing: distance of neighbouring nodes [m]. north is up, the direction -y. title, label: texts of the map
-    and of its scale, with the unit; what stands between two $ is mathtext, unless matplotlib cannot read it.
-    vmin, vmax: the values of black and white; the least and the largest unless given.
+    spacing: distance of neighbouring nodes [m]. north is up, the direction -y; a DataArray is turned so that
+    it is. Nodes without a finite value, or masked in a numpy masked array, are blue. title, label: texts of
+    the map and of its scale, with the unit; what stands between two $ is mathtext, unless matplotlib cannot
+    read it. vmin, vmax: the values of black and white; the least and the largest unless given.
 
     Returns a matplotlib Figure. Raises InputError for another shape, type or spacing, a vmin above vmax, or
     if matplotlib is not installed.
@@ -294,11 +297,15 @@ def terrain(
     Example: ``plot.save(plot.terrain(sl.sky_view_factor(scene), 30.0, label="sky-view factor"), "svf.png")``
     """
     _matplotlib()
+    east, south = axes_of(labels_of(values))
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(float), np.nan)
     values = np.asarray(values)
     if values.ndim != 2 or not values.size or values.dtype.kind not in "biuf":
         got = f"shape {values.shape}, dtype {values.dtype}"
         raise bad("plot.terrain: values", got, "real numbers (rows, cols), at least one")
     spacing = positive_number(spacing, "plot.terrain: spacing")
+    values = values[:: int(south), :: int(east)]
     _check_limits(values, vmin, vmax)
     rows, cols = values.shape
     figure = _figure(6.2, float(np.clip(5.2 * rows / cols + 0.4, 2, 9)))
@@ -343,7 +350,9 @@ def draw_terrain(
 ) -> None:
     """:func:`terrain` in axes of a figure of one's own."""
     rows, cols = values.shape
-    shown = axes.imshow(values, cmap="gray", vmin=vmin, vmax=vmax, interpolation="nearest")
+    known = np.ma.masked_invalid(values)
+    shown = axes.imshow(known, cmap="gray", vmin=vmin, vmax=vmax, interpolation="nearest")
+    shown.set_cmap(shown.get_cmap().with_extremes(bad=MISSING))
     axes.set_xticks([])
     axes.set_yticks([])
     axes.set_title(title, fontsize=11, **_shown_as(title))
@@ -361,12 +370,13 @@ def draw_terrain(
     x, y = 0.95 * cols, 0.17 * rows
     arrow = dict(facecolor="black", edgecolor="white", width=3, headwidth=9, headlength=9)
     axes.annotate("N", (x, y - 0.12 * rows), (x, y), va="center", arrowprops=arrow, **text)
+    axes.set(xlim=(-0.5, cols - 0.5), ylim=(rows - 0.5, -0.5))  # the bar's place widens no small map
 
 
 def _round_length(most: float) -> float:
     """The largest of 1, 2 and 5 times a power of ten that is not beyond ``most``."""
     power = 10.0 ** np.floor(np.log10(most))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= most))
+    return float(power * max(step for step in (0.5, 1, 2, 5) if step * power <= most))
 
 
 def save(figure: Figure, path: StrPath, dpi: float = 120) -> Path:
