@@ -11,7 +11,7 @@ import numpy as np
 from .arrays import Quantity, labelled, labels_of, multiply
 from .backends.base import Backend, available_memory
 from .backends.resident import DeviceImage
-from .checks import one_of
+from .checks import one_of, positive_number
 from .directions import Azimuths, angles_on
 from .errors import CapacityError, bad
 from .light.far import Far, Tiling
@@ -103,7 +103,9 @@ def horizons(
     return slopes
 
 
-def horizon_at(scene: Scene, row: int, col: int, angles: np.ndarray, backend: str) -> np.ndarray:
+def horizon_at(
+    scene: Scene, row: int, col: int, angles: np.ndarray, backend: str, max_distance: float | None = None
+) -> np.ndarray:
     """The horizon's slope at one node, at least 0, by exact rays along ``angles`` [rad] of the map's axes:
     (azimuths,) float64.
     """
@@ -112,7 +114,8 @@ def horizon_at(scene: Scene, row: int, col: int, angles: np.ndarray, backend: st
         samples = samples_of(engine, scene)
         samples.set_nodes(np.array([col]), np.array([row]))
         samples.gx = samples.gy = np.zeros(1)  # ground that rises from the node hides, its tangent plane not
-        return samples.horizons(angles)[:, 0]
+        reach = math.inf if max_distance is None else positive_number(max_distance, "max_distance")
+        return samples.horizons(angles, reach / scene.spacing)[:, 0]
 
 
 def _slopes(

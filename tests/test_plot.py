@@ -124,6 +124,38 @@ def test_a_map_is_drawn_north_up(rows, cols):
         assert shown.axes.get_ylim() == (2.5, -0.5)
 
 
+@pytest.mark.parametrize("azimuths", [0, 2, 3.5, "a", 10**9])
+def test_azimuths_of_a_horizon_are_checked(azimuths, fast):
+    """They drew a wrong picture, took all memory, or raised IndexError."""
+    with pytest.raises(sl.InputError, match="azimuths: got .* allowed: a whole number from 3"):
+        plot.horizon(sl.Scene(HILLS), 3, 3, azimuths=azimuths, backend=fast)
+
+
+def test_ground_beyond_the_radius_is_not_drawn(fast):
+    """max_distance is that of sl.horizons, in the unit of the spacing."""
+    scene = sl.Scene.from_height(30 * (HILLS.max() - HILLS), 30.0)
+    figure = plot.horizon(scene, 12, 30, azimuths=36, backend=fast, max_distance=150.0)
+    slopes = sl.horizons(scene, 36, fast, max_distance=150.0)[:, 12, 30]
+    elevation = 90 - figure.axes[0].lines[0].get_ydata()[:-1]
+    np.testing.assert_allclose(elevation, np.degrees(np.arctan(np.maximum(slopes, 0))), atol=1e-4)
+    far = sl.horizons(scene, 36, fast)[:, 12, 30]
+    assert abs(np.arctan(np.maximum(far, 0)) - np.arctan(np.maximum(slopes, 0))).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    "option", [["--what", "slopes"], ["--azimuths", "4"], ["--definition", "horizontal"]]
+)
+def test_a_picture_alone_refuses_options_of_the_output(tmp_path, option, capsys):
+    """They were ignored; a place that is no number is an error of one line."""
+    np.save(tmp_path / "h.npy", HILLS)
+    words = ["horizon", str(tmp_path / "h.npy"), "--height", "--plot", str(tmp_path / "p.png"), "--at"]
+    for at, more, code in (("3,3", option, 2), ("nan,3", [], 3)):
+        with pytest.raises(SystemExit) as end:
+            cli.main([*words, at, *more])
+        assert end.value.code == code
+    assert "two whole numbers" in capsys.readouterr().err and not (tmp_path / "p.png").exists()
+
+
 @pytest.mark.slow
 def test_panels(fast):
     """Image, depth, truth, error and confidence with their own values, both depths on one scale."""

@@ -398,6 +398,10 @@ def horizon(
         raise typer.BadParameter(
             "the sky above a node is drawn with --at ROW,COL --plot FILE", param_hint="--source"
         )
+    if not out and (what, definition, azimuths) != ("sky-view-factor", "tilted", 64):
+        raise typer.BadParameter(
+            "are of OUTPUT, not of --plot", param_hint="--what, --definition, --azimuths"
+        )
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     if machines.asked:
         others = picture, height is False, spacing, nodata, resample, sides != "open"
@@ -418,12 +422,13 @@ def horizon(
         if out:
             maps = quantities[what](scene, azimuths=azimuths, backend=name, max_distance=max_distance)
         if picture:
-            if any(n != int(n) for n in node):
+            if not all(n.is_integer() for n in node):
                 raise bad("--at", at, "two whole numbers")
             row, col = map(int, node)
             sky = parsing.source(source, None, None, sun)
             assert isinstance(sky, Sky), "lamps and windows have options of their own"
-            plot.save(plot.horizon(scene, row, col, sky, backend=name), picture)
+            drawn = plot.horizon(scene, row, col, sky, backend=name, max_distance=max_distance)
+            plot.save(drawn, picture)
     shape, scale = (), None
     if out and maps is not None:
         shape = maps.shape

@@ -141,18 +141,21 @@ def horizon(
     source: sources.Sky | None = None,
     azimuths: int = 360,
     backend: str = "auto",
+    max_distance: float | None = None,
 ) -> Figure:
     """The sky above one node: the horizon and the brightness above it, as a polar plot.
 
     The zenith is in the middle, the level horizon at the rim, north (-y) up and east (+x) to the right, as on
     the map (a view from above, not from below). The dashed line is where the surface's own
-    tangent plane ends. ``source``: a Sky, uniform unless given.
+    tangent plane ends. ``source``: a Sky, uniform unless given. ``max_distance`` [unit of spacing]: ground
+    farther away does not count, as of :func:`skylamp.horizons`.
 
     Raises InputError for a node that is outside or masked, a source that is no sky, or if matplotlib is not
     installed.
     """
     _matplotlib()
     is_scene(scene)
+    azimuths = whole_number(azimuths, "plot.horizon: azimuths", 3, 10_000)
     row = whole_number(row, "plot.horizon: row", 0, scene.shape[0] - 1)
     col = whole_number(col, "plot.horizon: col", 0, scene.shape[1] - 1)
     if not scene.valid[row, col]:
@@ -165,7 +168,7 @@ def horizon(
         sun, source = source.brightness.sun, sources.Sky(replace(source.brightness, direct=0.0))
     turn = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths  # from east towards south
     on_map = angles_on(scene.axes, turn)
-    elevation = np.degrees(np.arctan(horizon_at(scene, row, col, on_map, backend)))
+    elevation = np.degrees(np.arctan(horizon_at(scene, row, col, on_map, backend, max_distance)))
     compass = turn + np.pi / 2  # from north, clockwise
 
     figure = _figure(6.4, 5.6)
@@ -185,7 +188,7 @@ def horizon(
     figure.legend(handles, labels, loc="lower right", ncols=3, fontsize=9, facecolor=GROUND, labelcolor="w")
     seen = float((np.cos(np.radians(elevation)) ** 2).mean())
     figure.suptitle(
-        f"Row {row}, column {col}: horizon to {elevation.max():.0f}°, sky-view factor of level ground"
+        f"Row {row}, column {col}: horizon to {elevation.max() + 0.0:.0f}°, sky-view factor of level ground"
         f" {seen:.2f}",
         fontsize=11,
     )
