@@ -132,14 +132,14 @@ def test_azimuths_of_a_horizon_are_checked(azimuths, fast):
 
 
 def test_ground_beyond_the_radius_is_not_drawn(fast):
-    """max_distance is that of sl.horizons, in the unit of the spacing."""
-    scene = sl.Scene.from_height(30 * (HILLS.max() - HILLS), 30.0)
-    figure = plot.horizon(scene, 12, 30, azimuths=36, backend=fast, max_distance=150.0)
-    slopes = sl.horizons(scene, 36, fast, max_distance=150.0)[:, 12, 30]
-    elevation = 90 - figure.axes[0].lines[0].get_ydata()[:-1]
-    np.testing.assert_allclose(elevation, np.degrees(np.arctan(np.maximum(slopes, 0))), atol=1e-4)
-    far = sl.horizons(scene, 36, fast)[:, 12, 30]
-    assert abs(np.arctan(np.maximum(far, 0)) - np.arctan(np.maximum(slopes, 0))).max() > 0.01
+    """max_distance is in the unit of the spacing: a wall 20 nodes, or 600 m, to the east."""
+    scene = sl.Scene.from_height(np.where(X < 40, 0.0, 300.0), 30.0)
+    tops = []
+    for radius in (570.0, 610.0, None):
+        figure = plot.horizon(scene, 12, 20, azimuths=36, backend=fast, max_distance=radius)
+        tops.append(90 - figure.axes[0].lines[0].get_ydata().min())
+    expected = np.degrees(np.arctan(300 * np.cos(np.radians(5)) / 600))  # in the sectors beside due east
+    np.testing.assert_allclose(tops, [0, expected, expected], atol=1e-3)
 
 
 @pytest.mark.parametrize(
