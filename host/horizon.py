@@ -17,7 +17,7 @@ from .errors import CapacityError, bad
 from .light.far import Far, Tiling
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .render_options import sectors_of
-from .samples import samples_of
+from .samples import least_slope, samples_of
 from .scale import limited, over_tiles
 from .scene import Scene, is_scene
 from .sources.tables import elevation_of
@@ -110,12 +110,14 @@ def horizon_at(
     (azimuths,) float64.
     """
     scene, engine = scene.under_sky(), engine_of(scene, backend)
+    reach = (
+        math.inf if max_distance is None else positive_number(max_distance, "max_distance") / scene.spacing
+    )
+    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     with engine.lock:
         samples = samples_of(engine, scene)
         samples.set_nodes(np.array([col]), np.array([row]))
-        samples.gx = samples.gy = np.zeros(1)  # ground that rises from the node hides, its tangent plane not
-        reach = math.inf if max_distance is None else positive_number(max_distance, "max_distance")
-        return samples.horizons(angles, reach / scene.spacing)[:, 0]
+        return samples.slopes(cosine, sine, least_slope(samples, cosine, sine), reach=reach)[:, 0]
 
 
 def _slopes(

@@ -34,7 +34,7 @@ CHECKED = 144
 # nodes that these are chosen from, half evenly, half in proportion to the square of the light that they send
 # to themselves; and that decide once the direct light is known. Derived: a region of 3 / 2^15 of the nodes is
 # missed in 5 % of all cases, and the RMS error is 0.5 % where it lacks half of the mean light
-CHECKED_FROM = 2**15
+CANDIDATE_NODES = 2**15
 # azimuths of the share of sky that decides, where the source is no uniform sky; side [node] of blocks: the
 # ground that lights a node lies in its own block or in one beside it. Both chosen
 DECIDING_AZIMUTHS, NEAR_ALBEDO = 4, 8
@@ -188,7 +188,7 @@ def share_everywhere(
     dark = scene.sides == "dark"  # whose walls hide sky and send no light
     if dark or not samples.relief > 0 or brightness is not None and not max(brightness) > 0:
         return 0.0
-    samples = spread_more(samples, scene, CHECKED_FROM)
+    samples = spread_more(samples, scene, CANDIDATE_NODES)
     lights = [_at(samples, image) for image in direct]
     if brightness is None:
         sectors = even(DECIDING_AZIMUTHS, OFFSET)
@@ -349,7 +349,7 @@ def _choose_checked(
     sky: np.ndarray | DeviceImage,
 ) -> np.ndarray:
     """Move the samples to CHECKED of many nodes; the weights of these, by which they stand for all."""
-    many = spread_more(samples, scene, CHECKED_FROM)
+    many = spread_more(samples, scene, CANDIDATE_NODES)
     if len(many) <= CHECKED:
         return np.ones(len(samples))
     seen, likely = _at(many, sky), np.zeros(len(many))

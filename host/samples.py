@@ -215,8 +215,8 @@ class Samples:
 
     def free(self, cosine: Values, sine: Values) -> np.ndarray:
         """Horizon slope without the ground: of the level, the tangent plane, and the wall of a dark box."""
-        least: np.ndarray = np.maximum(0.0, self.plane(cosine, sine))
-        return least if self.sides != "dark" else np.maximum(least, -self.own / _wall(self, cosine, sine))
+        free: np.ndarray = np.maximum(least_slope(self, cosine, sine), self.plane(cosine, sine))
+        return free
 
     def horizons(self, azimuths: np.ndarray, reach: float = math.inf) -> np.ndarray:
         """Horizon slopes (azimuths, nodes) float64, not to be changed."""
@@ -360,6 +360,14 @@ class Samples:
                 light[n, node] += cosines * sources.radiance(sources.Sky(brightness), seen) * span / points
         irradiance: np.ndarray = (width * light).sum(0) / self.length
         return irradiance
+
+
+def least_slope(samples: Samples, cosine: Values, sine: Values) -> Values:
+    """Horizon slope without any ground: of the level, and of the wall of a dark box."""
+    if samples.sides != "dark":
+        return 0.0
+    slope: np.ndarray = np.maximum(0.0, -samples.own / _wall(samples, cosine, sine))
+    return slope
 
 
 def samples_of(engine: Backend, scene: Scene, count: int = SAMPLE_COUNT) -> Samples:

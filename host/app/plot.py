@@ -188,7 +188,7 @@ def horizon(
     figure.legend(handles, labels, loc="lower right", ncols=3, fontsize=9, facecolor=GROUND, labelcolor="w")
     seen = float((np.cos(np.radians(elevation)) ** 2).mean())
     figure.suptitle(
-        f"Row {row}, column {col}: horizon to {elevation.max() + 0.0:.0f}°, sky-view factor of level ground"
+        f"Row {row}, column {col}: horizon to {elevation.max():.0f}°, sky-view factor of level ground"
         f" {seen:.2f}",
         fontsize=11,
     )

@@ -15,7 +15,7 @@ import math
 import socket
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -63,10 +63,8 @@ class Settings:
     interreflection: str = "off"
 
     def __post_init__(self) -> None:
-        """Whole numbers of the page become floats: 4 times heights of 16 bits would stay in 16 bits."""
-        for control in fields(self):
-            if control.type == "float":
-                object.__setattr__(self, control.name, float(getattr(self, control.name)))
+        """The page sends 4.0 as 4, and 4 times heights of 16 bits would stay in 16 bits."""
+        object.__setattr__(self, "exaggeration", float(self.exaggeration))
 
 
 @dataclass(frozen=True, eq=False)

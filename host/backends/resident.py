@@ -65,7 +65,8 @@ class DeviceImage:
         self.backend.launch("resident", "shade", (count,), self.values, self.values, one, *numbers)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> DeviceImage:
-        return self.copy()
+        with self.backend.lock:
+            return self.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as a NumPy array: who reads it may have no such device."""

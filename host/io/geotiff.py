@@ -248,7 +248,8 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
         )
     nodata = like.nodata
     if array.dtype.kind == "f":
-        unset = array == like.values.astype(array.dtype)  # not what was computed there
+        with np.errstate(over="ignore"):  # of what marks no data
+            unset = array == like.values.astype(array.dtype)  # not what was computed there
         if nodata is not None:
             unset |= array == nodata
         array = np.where(~like.mask & unset, array.dtype.type(np.nan), array)

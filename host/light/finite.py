@@ -35,7 +35,7 @@ PARTLY = 1e-3
 # of the mean brightness: where a quarter of the rays changes it by more, 16 times as many are taken, if such
 # nodes are rare: the samples miss them. Chosen: a lamp right above a node, with the pole of its brightness
 # there, changed by 6 % and was 29 % off
-RAYS_CHANGE, RAYS_CHANGED = 0.02, 1 / 64
+RAY_CHANGE, MOST_CHANGED = 0.02, 1 / 64
 CHORDS_AT_ONCE = 2**18  # some 20 arrays of 8 bytes a chord
 # extents of a map to which a rectangular lamp may reach: there a node is a quarter of float32's resolution
 MOST_PANEL_EXTENTS = 2.0**22
@@ -155,9 +155,9 @@ class Sliced(LightMethod):
             for light in whole
         ]
         many, few = self.means
-        uneven = np.abs(many - few) > RAYS_CHANGE * many
+        uneven = np.abs(many - few) > RAY_CHANGE * many
         self.is_partial = np.zeros(self.scene.shape, bool)
-        if uneven.sum() <= RAYS_CHANGED * uneven.size:
+        if uneven.sum() <= MOST_CHANGED * uneven.size:
             self._take_chords(uneven, 16 * rays)
         self._take_chords()
 
