@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -50,6 +51,21 @@ def fails(capsys, code, *arguments, says):
     if code != 2:
         assert err.startswith("skylamp: error: ") and err.count("\n") == 1, err
     assert sorted(os.listdir(".")) == before
+
+
+def test_heights_in_counts_are_told(here, capsys):
+    """Counts of a PNG have no unit: a warning, unless --spacing says how many are a pixel's width."""
+    io.write("coin.png", (BOWL.max() - BOWL).astype(np.uint8))
+    flags = "render", "coin.png", "--height", "--backend", "numpy"
+    with pytest.warns(UserWarning, match=r"^Counts: .* coin.png, 0 to \d+, .*--spacing"):
+        assert run(capsys, *flags, "--out", "a.npy")[0] == 0
+    io.write("range.png", BOWL.max() - BOWL.astype(float))  # holds its range
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert run(capsys, *flags, "--spacing", "2", "--out", "b.npy")[0] == 0
+        assert run(capsys, "render", "range.png", "--height", "--out", "c.npy")[0] == 0
+    expected = sl.render(sl.Scene.from_height((BOWL.max() - BOWL) / 2), sl.Sky(), backend="numpy").image
+    np.testing.assert_allclose(np.load("b.npy"), expected, rtol=1e-6)
 
 
 def test_render_writes_what_the_library_renders(here, capsys):

@@ -232,6 +232,20 @@ def test_nodata_that_is_a_value(tmp_path):
     assert facts(tmp_path / "b.tif")[2] is None and facts(tmp_path / "b.tif")[5] == ("uint8",)
 
 
+def test_unit_of_a_band_that_is_written(tmp_path):
+    """Heights in feet that are written with their unit are read in feet; other arrays have none."""
+    feet = dict(crs="EPSG:2274", transform=from_origin(1e6, 5e5, 10, 10), band={"units": ("us-ft",)})
+    dem = geo.read(make(tmp_path / "dem.tif", **feet))
+    assert dem.unit == "us-ft"
+    geo.write(tmp_path / "same.tif", dem.values, dem, unit=dem.unit)
+    assert geo.read(tmp_path / "same.tif").spacing == dem.spacing == pytest.approx(10)
+    geo.write(tmp_path / "two.tif", np.stack([dem.values, dem.values]), dem, unit="W m-2")
+    geo.write(tmp_path / "none.tif", dem.values, dem)
+    with rasterio.open(tmp_path / "two.tif") as two, rasterio.open(tmp_path / "none.tif") as none:
+        assert two.units == ("W m-2", "W m-2") and none.units == (None,)
+    refused(("unit", "7"), geo.write, tmp_path / "bad.tif", dem.values, dem, unit=7)
+
+
 @pytest.mark.parametrize("latitude", [0, 46.0, -60.0])
 def test_degrees(tmp_path, latitude, fast):
     """Refused with both lengths; resampled to squares, the light is that of the ground in metres."""

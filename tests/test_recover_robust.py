@@ -665,6 +665,15 @@ def test_the_place_of_what_repeats_is_not_known(fast):
     assert (abs(found.depth - depth) < 2 * found.std).all() and np.median(found.confidence) < 0.1
 
 
+def test_arguments_of_the_paper_are_told(fast):
+    """hemicube, eps and stop do nothing in method "robust": it says so."""
+    image = np.full((6, 6), 0.5)
+    given = dict(layers=2, interreflection=False, backend=fast)
+    found = sl.recover(image, sl.Sky(), hemicube=5, stop="sign", **given)
+    assert any(text.startswith("Not used: hemicube, stop. ") for text in found.warnings)
+    assert not any("Not used" in text for text in sl.recover(image, sl.Sky(), **given).warnings)
+
+
 def test_no_time_for_light_between_surfaces_is_said(fast):
     """By "auto", which searches by direct light first: std is that of a model without it."""
     image = pair("bumps", "sky")[1]

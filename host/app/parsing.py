@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,7 @@ def scene(
     raster = raster_of(file, resample)
     height = raster is not None if height is None else height
     if raster is None:
-        with native_output_silenced(file):
-            values = io.read(file, "height" if height else "depth", scaled=True)
+        values = values_of(file, height, spacing)
     else:
         values = raster.values
     mask = None if raster is None or raster.mask.all() else raster.mask
@@ -44,6 +44,19 @@ def scene(
     spacing = spacing_of(spacing, raster)
     make = Scene.from_height if height else Scene
     return make(values, spacing=spacing, mask=mask, sides=sides, reflectance=reflectance), raster
+
+
+def values_of(file: Path, height: bool | None, spacing: float | None) -> np.ndarray:
+    """Depths, or heights, of a file that is no GeoTIFF; warns of heights without a unit."""
+    with native_output_silenced(file):
+        values = io.read(file, "height" if height else "depth", scaled=True)
+    if height and spacing is None and file.suffix.lower() == ".png" and values.dtype.kind == "u":
+        warnings.warn(
+            f"Counts: heights are the counts of {file}, {values.min()} to {values.max()}, and neighbouring"
+            " pixels are 1 apart. Give --spacing, that distance in counts.",
+            stacklevel=2,
+        )
+    return values
 
 
 def raster_of(file: Path, resample: bool) -> geo.Raster | None:

@@ -32,8 +32,7 @@ from ..scene import Scene
 from ..sources import Lamp, Sky, Source, cie_overcast
 from ..sources.cie import cie_clear
 from . import plot
-from .output import native_output_silenced
-from .parsing import INTERREFLECTION, raster_of, without
+from .parsing import INTERREFLECTION, raster_of, values_of, without
 
 COARSE_SIDE = 160  # [node] of the map that is rendered while the mouse moves; twice takes four times as long
 COARSE_AZIMUTHS = 8  # in which it is; half of it shows as stripes
@@ -117,8 +116,7 @@ def _read(file: Path, height: bool | None, spacing: float | None, resample: bool
         lines = "from skylamp import geo", call, parts
         return Map(raster.values, height is not False, step, raster.mask, lines)
     kind, step = "height" if height else "depth", 1.0 if spacing is None else spacing
-    with native_output_silenced(file):
-        values = io.read(file, kind, scaled=True)
+    values = values_of(file, height, spacing)
     call = f"values, mask, spacing = io.read({str(file)!r}, {kind!r}, scaled=True), None, {step!r}"
     return Map(values, bool(height), step, None, ("from skylamp import io", call))
 

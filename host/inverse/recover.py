@@ -32,6 +32,8 @@ from .search import OutOfTime, Rival, Search
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 MOST_LAYERS = 2**20
+# those of recover(): 9 x 9 directions, and of carving the paper's criterion with 2 % of the largest radiance
+PAPER_DEFAULTS = {"hemicube": 9, "eps": 0.02, "stop": "eps"}
 CANDIDATE_DEPTH = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
 MAPS = (  # fields of Recovery that are maps
     Quantity("depth", None, "depth, in the unit of spacing"),
@@ -127,8 +129,8 @@ def recover(
         4): all columns start at depth 0 and go down a layer at a time while their luminance, with N.L
         replaced by 1/2, does not match the image.
     hemicube, eps, stop
-        Of method="paper". stop="eps": a column stops where |B - I| <= eps x max(image); "sign": at the first
-        layer where B equals I or has passed it; on most scenes this drills fewer columns.
+        Of method="paper"; "robust" warns. stop="eps": a column stops where |B - I| <= eps x max(image);
+        "sign": at the first layer where B equals I or has passed it; this often drills fewer columns.
     near, far : number or (rows, cols) array [unit of spacing], optional
         Of method="robust": between which depth lies; 0 and layers x spacing unless given.
     max_seconds : float, optional
@@ -160,11 +162,17 @@ def recover(
     if method == "robust":
         with engine.lock:
             limits = _limits(near, far, max_seconds, given)
-            recovery = _recovered(given, limits, engine, progress, interreflection)
-        return _labelled(recovery, given.labels)
+            given.warnings.extend(_unused(hemicube=hemicube, eps=eps, stop=stop))
+            return _labelled(_recovered(given, limits, engine, progress, interreflection), given.labels)
     _check_carving(given.several, near, far, interreflection)
     with within(max_seconds, "recover", engine):
         return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
+
+
+def _unused(**given: Any) -> list[str]:
+    """The warning for arguments of method "paper" given to "robust"; PAPER_DEFAULTS count as not given."""
+    names = [name for name, value in given.items() if value != PAPER_DEFAULTS[name]]
+    return [f"Not used: {', '.join(names)}. Only method 'paper' has them."] if names else []
 
 
 def _check_carving(several: bool, near: Any, far: Any, interreflection: bool | str) -> None:

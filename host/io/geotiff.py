@@ -37,7 +37,7 @@ class Raster:
     values (rows, cols), in the file's own type; mask (rows, cols) bool, True where there are data; spacing:
     side of a cell in the unit of the values (metres, unless the band is in feet); crs and transform, of the
     cells' corners, as rasterio has them; nodata, the file's value or None; point: whether the file calls its
-    values those of points, AREA_OR_POINT.
+    values those of points, AREA_OR_POINT; unit: of the values, as the file tells it, "" if it tells none.
     """
 
     values: np.ndarray
@@ -47,6 +47,7 @@ class Raster:
     transform: Any  # affine.Affine
     nodata: float | None
     point: bool = False
+    unit: str = ""
 
     def scene(self, **options: Any) -> Scene:
         """The :class:`skylamp.Scene` of these heights.
@@ -99,9 +100,9 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
         values, mask = file.read(1), file.read_masks(1) > 0
         if values.dtype.kind == "f":
             mask &= np.isfinite(values)
-        raster, unit = _described(path, file, values, mask)
+        raster = _described(path, file, values, mask)
         raster = replace(raster, values=_scaled(file, raster.values))
-    return _spaced(path, raster, unit, resample)
+    return _spaced(path, raster, resample)
 
 
 def header(path: StrPath) -> Raster:
@@ -113,8 +114,8 @@ def header(path: StrPath) -> Raster:
     with _opened(path) as file:
         shape = file.height, file.width
         nothing = np.broadcast_to(np.zeros((), file.dtypes[0]), shape)
-        raster, unit = _described(path, file, nothing, np.broadcast_to(np.True_, shape))
-    return _spaced(path, raster, unit, None)
+        raster = _described(path, file, nothing, np.broadcast_to(np.True_, shape))
+    return _spaced(path, raster, None)
 
 
 def window(path: StrPath, rows: slice, cols: slice, dtype: DTypeLike = np.float32) -> np.ndarray:
@@ -156,8 +157,8 @@ def _opened(path: Path) -> Iterator[Any]:
             yield file
 
 
-def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> tuple[Raster, str]:
-    """(The raster without its spacing, north up; the unit of its values)."""
+def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> Raster:
+    """The raster without its spacing, north up."""
     if values.dtype.kind not in "iuf":
         raise bad(f"{path}: wrong type", values.dtype, "real numbers (integer or floating)")
     point = file.tags().get("AREA_OR_POINT") == "Point"
@@ -173,11 +174,11 @@ def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> t
         values, mask = values[::-1], mask[::-1]
         t = transform
         transform = type(t)(t.a, 0, t.c, 0, -t.e, t.f + t.e * file.height)
-    raster = Raster(values, mask, 0.0, file.crs, transform, file.nodata, point)
-    return raster, (file.units[0] or "").strip().lower()
+    unit = (file.units[0] or "").strip().lower()
+    return Raster(values, mask, 0.0, file.crs, transform, file.nodata, point, unit)
 
 
-def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Raster:
+def _spaced(path: Path, raster: Raster, resample: bool | None) -> Raster:
     """The raster with its spacing; checked to be not turned, and to have square cells, or made so.
 
     ``resample``: None where that cannot be asked for.
@@ -191,7 +192,7 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Ras
             "Warp it first, by rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     east, north = _metres(path, raster)
-    vertical = metres_in(unit)
+    unit, vertical = raster.unit, metres_in(raster.unit)
     if vertical is None:
         cells = raster.crs is not None and raster.crs.is_projected and raster.crs.linear_units_factor
         if unit or (cells and cells[1] != 1):
@@ -219,9 +220,12 @@ def _spaced(path: Path, raster: Raster, unit: str, resample: bool | None) -> Ras
     return replace(raster, spacing=float(np.sqrt(east * north) / vertical))
 
 
-def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
+def write(path: StrPath, array: np.ndarray, like: Raster, *, unit: str = "") -> None:
     """Write ``array``, (rows, cols), (bands, rows, cols) or colours (rows, cols, 3), as a GeoTIFF with the
     georeference of ``like``, whole or not at all, in the array's own type.
+
+    ``unit``: of the array, written to every band. Heights in feet need it, ``unit=like.unit``: :func:`read`
+    takes heights without a unit as metres.
 
     The nodata value of a floating array is NaN, whatever that of ``like`` is, which a valid node may have;
     where ``like`` is masked and the array still has its value or its nodata value, it becomes NaN. A
@@ -231,6 +235,8 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".tif", ".tiff"):
         raise bad(f"{path}: unknown extension of a GeoTIFF", repr(path.suffix), ".tif .tiff")
+    if not isinstance(unit, str):
+        raise bad("unit", repr(unit), "text, such as 'm' or like.unit")
     if not isinstance(like, Raster):
         raise bad("like", type(like).__name__, "the Raster whose georeference it has, from skylamp.geo.read")
     destination(path)
@@ -265,6 +271,7 @@ def write(path: StrPath, array: np.ndarray, like: Raster) -> None:
         with memory.open(driver="GTiff", compress="deflate", bigtiff="if_safer", **size, **about) as file:
             file.update_tags(AREA_OR_POINT="Point" if like.point else "Area")
             file.write(bands)
+            file.units = [unit] * len(bands)
         with replacing(path) as out:
             out.write(memory.getbuffer())
 
