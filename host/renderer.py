@@ -92,7 +92,7 @@ class Renderer:
         if scene.rounding:
             self.warnings.append(
                 f"Depths are rounded by {scene.rounding:.2g} spacings, as float32: subtract the same depth"
-                " from the map and from the source."
+                " from the map and from the source; give a window as a rectangular lamp, corner= and edges=."
             )
         if options.chooses and missing and (self.lobe or not self.planned):
             what = "error of the specular lobe" if self.planned else "error"

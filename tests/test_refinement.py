@@ -1477,6 +1477,23 @@ def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     )
 
 
+@pytest.mark.parametrize(
+    ("depth", "source", "says"),
+    [
+        (5.0, sl.Lamp((8, 8, 4), 2), "The lamp touches the surface: it reaches 1 spacings into it"),
+        (5.0, sl.Lamp(corner=(4, 4, 5), edges=((6, 0, 0), (0, 6, 0))), "The lamp touches the surface: nodes"),
+        (0.0, sl.Window((2, 9), (2, 9)), "The window touches the surface: nodes lie in its plane"),
+    ],
+    ids=["ball", "panel", "window"],
+)
+def test_a_source_in_the_surface_is_a_warning(fast, depth, source, says):
+    """Its light is not defined there; a source above the surface has no such warning."""
+    for away in (0.0, 3.5):
+        scene = sl.Scene(np.full((16, 16), depth + away))
+        out = sl.render(scene, source, tolerance=0.1, interreflection=False, backend=fast)
+        assert any(text.startswith(says) for text in out.warnings) == (away == 0), out.warnings
+
+
 def test_a_plan_tells_the_light_between_surfaces_in_a_bowl(fast):
     """In a bowl of rim angle a, bounces add E rho (1 - f) / (1 - rho (1 - f)) with f = (1 + cos a) / 2."""
     radius, rim = 150.0, np.radians(50)

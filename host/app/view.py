@@ -23,7 +23,6 @@ from typing import Any
 import imageio.v3 as imageio
 import numpy as np
 
-from .. import io
 from ..directions import Azimuths
 from ..errors import SkylampError, bad, lacking
 from ..images import Rendering

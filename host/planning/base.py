@@ -58,6 +58,7 @@ TABLES_ERROR = 1e-4
 # of the tolerance, from which on a plan notes the rounding of depths [spacing], and light from below the
 # level. Chosen: by as much as depths are rounded slopes are wrong, a tenth of what was asked for
 NOTED_SHARE = 0.1
+UNDEFINED = "its light is not defined"  # ends a sentence that is a warning too
 # rows and columns of nodes, at most, whose distance from a lamp is looked at; chosen
 GAP_NODES = 512
 
@@ -266,10 +267,17 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
             f"Light between surfaces is left out: it is about {percent(between)} of the direct light (RMS"
             " over the mean)."
         )
-    gap = _gap(scene, source, planner.engine, samples.highest) if isinstance(source, sources.Lamp) else 1.0
-    if gap < 1:
-        touches = f"reaches {-gap:.2g} spacings into it" if gap < 0 else f"ends {gap:.2g} spacings from it"
-        yield f"The lamp touches the surface: it {touches}, and the grid holds nothing finer than 1."
+    is_sky = isinstance(source, sources.Sky)
+    gap = math.inf if is_sky else _gap(scene, source, planner.engine, samples.highest)
+    touches = "The lamp touches the surface:"
+    if isinstance(source, sources.Window):
+        touches = "The window touches the surface:"
+    if gap < 0:
+        yield f"{touches} it reaches {-gap:.2g} spacings into it, where {UNDEFINED}."
+    elif gap == 0 and getattr(source, "radius", None) is None:
+        yield f"{touches} nodes lie in its plane, 0 spacings from it, where {UNDEFINED}."
+    elif gap < 1:
+        yield f"{touches} it ends {gap:.2g} spacings from it, and the grid holds nothing finer than 1."
     if isinstance(source, sources.Lamp) and source.volume is None and not planner.closed:
         if (lost := left_below(scene, source, planner.engine)) > NOTED_SHARE * planner.tolerance:
             yield lamp_below(lost)
@@ -298,16 +306,20 @@ def lamp_below(lost: float) -> str:
     )
 
 
-def _gap(scene: Scene, lamp: sources.Lamp, engine: Backend, highest: float) -> float:
+def _gap(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, highest: float) -> float:
     """Least distance [spacings] from a ball or rectangle to the nodes below it, where it is less than 1."""
-    if lamp.volume is not None:
-        return math.inf
     radius, edges = 0.0, np.zeros((2, 3))
-    if lamp.radius is not None:
-        radius = lamp.radius / scene.spacing
-    else:
-        edges = np.array(lamp.edges) / scene.spacing
-    corner = np.array(lamp.center if lamp.corner is None else lamp.corner) / scene.spacing
+    if isinstance(source, sources.Window):
+        if source.x is None or source.y is None:
+            return math.inf
+        corner = np.array((source.x[0], source.y[0], 0.0)) / scene.spacing
+        edges[0, 0], edges[1, 1] = np.diff(source.x)[0] / scene.spacing, np.diff(source.y)[0] / scene.spacing
+    elif source.center is not None and source.radius is not None:
+        corner, radius = np.array(source.center) / scene.spacing, source.radius / scene.spacing
+    elif source.corner is not None:
+        corner, edges = np.array(source.corner) / scene.spacing, np.array(source.edges) / scene.spacing
+    else:  # a volume
+        return math.inf
     low, high = corner + np.minimum(edges, 0).sum(0) - radius, corner + np.maximum(edges, 0).sum(0) + radius
     if -high[2] >= highest + 1:
         return math.inf

@@ -92,4 +92,4 @@ def larger(*errors: float | None) -> float | None:
 
 
 def percent(value: float) -> str:
-    return f"{100 * value:.2g} %"
+    return f"{100 * value:{'.2g' if value < 0.995 else '.0f'}} %"
