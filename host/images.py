@@ -108,6 +108,7 @@ def image_of(
     """The image of a quantity, made in place of the irradiances; the lists have one array per colour."""
     colours = _radiances(scene, irradiances, reflected) if quantity == "radiance" else irradiances
     image = colours[0] if len(colours) == 1 else np.stack(colours, -1)
+    np.maximum(image, 0, out=image)  # differences of sums round to less than 0
     if scene.mask is not None:
         image[~scene.mask] = np.nan
     return image

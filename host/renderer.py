@@ -141,7 +141,7 @@ class Renderer:
         light = irradiances[0] if irradiances else None
         if isinstance(light, DeviceImage) and (self.stays or not np.ndim(scene.albedo)):
             share = (scene.albedo, 1 / np.pi) if quantity == "radiance" else (1.0, 1.0)
-            light.shade(scene.on(engine), *share)
+            light.shade(scene.on(engine), *share, least=0.0)  # differences of sums round to less than 0
             if not self.stays:
                 return np.asarray(light)
             light.held = None

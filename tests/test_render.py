@@ -514,3 +514,18 @@ def test_light_from_the_viewers_side_is_all_there(fast, name):
     method = "unoccluded" if name == "closed form" else "auto"
     result = sl.render(sl.Scene(ground), source, method=method, interreflection=False, backend=fast)
     assert not any("below" in text for text in (*result.warnings, *result.plan.beyond))
+
+
+@pytest.mark.parametrize("between", [False, "auto"])
+def test_no_light_is_negative(backend, between):
+    """Light is a difference of sums, which rounds to less than 0 in shadow: 0 is given there."""
+    random, (y, x) = np.random.default_rng(2 if between else 0), np.mgrid[:96, :96]
+    height = np.zeros(y.shape)
+    for k in range(1, 6):
+        size, *phases = random.normal() * 6 / k, random.random() * 6, random.random() * 6
+        height += size * np.sin(k * x / 15 + phases[0]) * np.cos(k * y / 14 + phases[1])
+    scene = sl.Scene.from_height(height)
+    spot = sl.Sky(sl.cosine_power(300, axis=(1, 0.3, -0.8)))
+    source = sl.Lamp((40, 40, -10), 2) if between else spot
+    options = dict(quantity="irradiance", interreflection=between, backend=backend)
+    assert sl.render(scene, source, tolerance=0.003 if between else 0.01, **options).image.min() >= 0
