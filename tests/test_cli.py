@@ -397,6 +397,7 @@ def test_field(here, capsys):
         io.read("a.png"), np.rint(expected[2].astype(float) / (2 * np.pi) * 255).astype(np.uint8)
     )
     fails(capsys, 2, "field", "depth.npy", "--out", "b.png", *options, says="--layer")
+    fails(capsys, 2, "field", "depth.npy", "--plot", "b.png", "--layer", 2, *options, says="--layer")
     fails(
         capsys,
         3,

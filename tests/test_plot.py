@@ -338,6 +338,37 @@ def test_terrain_has_north_and_a_scale_bar_of_a_round_length():
         plot.terrain(values[0], 1.0)
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (20, 400)])
+def test_north_and_the_scale_bar_lie_on_small_and_on_long_maps(shape):
+    """Inside the map's frame, whatever its size; a long title is broken into lines."""
+    figure = plot.terrain(np.ones(shape), 30.0, "a long title " * 9, vmin=0)
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    frame = axes.get_window_extent()
+    bar = axes.lines[-1].get_window_extent()
+    assert frame.y0 <= bar.y0 <= frame.y1 and frame.x0 <= bar.x0 < bar.x1 <= frame.x1
+    for text in axes.texts:
+        x, y = text.get_window_extent().get_points().mean(0)
+        assert frame.x0 <= x <= frame.x1 and frame.y0 <= y <= frame.y1, text.get_text()
+    title = axes.title.get_window_extent()
+    assert 0 <= title.x0 and title.x1 <= figure.bbox.x1
+
+
+def test_recovery_without_a_value():
+    """nan is drawn as missing, a black image black; something else than a Recovery is refused."""
+    scene = sl.Scene(np.full((8, 8), 3.0))
+    found = sl.recover(np.ones((8, 8)), sl.Sky(), layers=4, interreflection=False, backend="numpy")
+    truth = np.where(np.eye(8, dtype=bool), np.nan, scene.depth)
+    figure = plot.recovery(np.zeros((8, 8)), found, truth)
+    image, _, true = [axes.images[0] for axes in figure.axes if axes.images][:3]
+    assert image.norm(0.0) == 0 and image.norm.vmax > 0
+    assert true.get_array().mask.sum() == 8
+    with pytest.raises(sl.InputError, match="plot.recovery: found: got NoneType"):
+        plot.recovery(np.zeros((8, 8)), None)
+    with pytest.raises(sl.InputError, match="plot.save: figure: got NoneType"):
+        plot.save(None, "a.png")
+
+
 @pytest.mark.parametrize(
     "options, says",
     [

@@ -516,6 +516,7 @@ def test_light_from_the_viewers_side_is_all_there(fast, name):
     assert not any("below" in text for text in (*result.warnings, *result.plan.beyond))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("between", [False, "auto"])
 def test_no_light_is_negative(backend, between):
     """Light is a difference of sums, which rounds to less than 0 in shadow: 0 is given there."""

@@ -473,6 +473,8 @@ def field(
         )
     if row is not None and picture is None:
         raise typer.BadParameter("goes with --plot", param_hint="--row")
+    if layer is not None and not out:
+        raise typer.BadParameter("goes with an output file, --out", param_hint="--layer")
     scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
     light = parsing.source(source, lamp, window, sun)
     parsing.check_place(light, raster)

@@ -55,11 +55,20 @@ def field(
     matplotlib = _matplotlib()
     rows, cols = field.scene.shape
     row = whole_number(rows // 2 if row is None else row, "plot.field: row", 0, rows - 1)
-    if every is None:
+    depth = field.depth[row]
+    if every is None:  # smaller discs where the ground leaves no room for larger ones
         every = max(2, round(max(cols, field.layers) / DISCS))
+        while every > 2 and not _disc_centres(depth, field.layers, every):
+            every = max(2, every // 2)
     every = whole_number(every, "plot.field: every", 2, allowed="a whole number of nodes, at least 2")
-    depth, radius = field.depth[row], RADIUS * every
-    points = _disc_centres(depth, field.layers, every, radius)
+    points, radius = _disc_centres(depth, field.layers, every), RADIUS * every
+    if not points:
+        raise bad(
+            f"plot.field: every, in a map of {cols} nodes along a row and {field.layers} layers",
+            every,
+            "a distance at which at least one disc fits above the ground of the row",
+            "Give a smaller one, or another row." if every > 2 else "Give another row, or a deeper map.",
+        )
     views = [field.view((x, row, z), backend=backend) for x, z in points]
     brightest = max(max(view.brightness[~view.visible].max() for view in views), 1e-30)
     floor = np.where(np.isfinite(depth), depth, field.layers)
@@ -86,24 +95,16 @@ def field(
     return figure
 
 
-def _disc_centres(depth: np.ndarray, layers: int, every: int, radius: float) -> list[tuple[int, int]]:
+def _disc_centres(depth: np.ndarray, layers: int, every: int) -> list[tuple[int, int]]:
     """(x, layer) of discs ``every`` nodes apart that keep clear of the ground below a row of the map."""
-    cols, rim = len(depth), every // 2
+    cols, rim, radius = len(depth), every // 2, RADIUS * every
     start = rim + (cols - 1 - 2 * rim) % every // 2  # as much room on the left as on the right
-    points = [
+    return [
         (x, z)
         for z in range(rim, layers, every)
         for x in range(start, cols - rim, every)
         if z + radius < (depth[max(0, int(x - radius)) : int(x + radius) + 2]).min()
     ]
-    if not points:
-        raise bad(
-            "plot.field: every",
-            every,
-            "a distance at which at least one disc fits above the ground",
-            "Give a smaller one.",
-        )
-    return points
 
 
 def _draw_disc(axes: Axes, centre: tuple[int, int], radius: float, view: View, surface: np.ndarray) -> None:
@@ -235,25 +236,28 @@ def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) 
 
     ``found``: what :func:`skylamp.recover` returned; ``truth``: the true depth, for comparison, with the
     error (recovered minus true depth); image, truth: (rows, cols). The panels are side by side. Axes are in
-    nodes. Raises InputError where shapes differ, or if matplotlib is not installed.
+    nodes; nodes without a finite value are blue. Raises InputError where shapes differ, if ``found`` is
+    something else, or if matplotlib is not installed.
 
     Example: ``plot.save(plot.recovery(image, sl.recover(image, sky)), "recovered.png")``
     """
     _matplotlib()
-    depth = np.asarray(found.depth)
+    if not isinstance(found, Recovery):
+        raise bad("plot.recovery: found", type(found).__name__, "what skylamp.recover returned")
+    image, depth = np.asarray(image), np.asarray(found.depth)
     depths = [depth] if truth is None else [depth, np.asarray(truth)]
     nearest, farthest = np.nanmin([np.nanmin(z) for z in depths]), np.nanmax([np.nanmax(z) for z in depths])
     scale = dict(cmap="viridis_r", vmin=nearest, vmax=farthest)
     sure = dict(cmap="cividis", vmin=0, vmax=1)
     panels: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
-        ("image", np.asarray(image), dict(cmap="gray", vmin=0), "radiance"),
+        ("image", image, dict(cmap="gray", vmin=0, vmax=float(np.nanmax(image)) or 1.0), "radiance"),
         ("recovered depth", depth, scale, "depth [unit of spacing]"),
     ]
     for true in depths[1:]:
         if true.shape != depth.shape:
             raise bad("plot.recovery: true depth", true.shape, f"the depth's shape {depth.shape}")
         error = depth - true
-        most = max(float(np.nanmax(np.abs(error))), 1e-6)
+        most = float(np.nanmax(np.abs(error))) or 1.0
         name = f"error, RMS {np.sqrt(np.nanmean(error**2)):.2g}"
         panels.append(("true depth", true, scale, "depth [unit of spacing]"))
         panels.append((name, error, dict(cmap="PuOr", vmin=-most, vmax=most), "recovered - true"))
@@ -269,7 +273,8 @@ def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) 
     figure = _figure(3.5 * across, float(np.clip(0.6 + 2.7 * rows / cols, 1.8, 8)) * down)
     places = figure.subplots(down, across, squeeze=False).flat
     for (name, values, style, label), axes in zip(panels, places):
-        shown = axes.imshow(values, interpolation="nearest", **style)
+        shown = axes.imshow(np.ma.masked_invalid(values), interpolation="nearest", **style)
+        shown.set_cmap(shown.get_cmap().with_extremes(bad=MISSING))
         axes.set_title(name, fontsize=11)
         axes.set_xticks([0, cols - 1])
         axes.set_yticks([0, rows - 1])
@@ -358,19 +363,21 @@ def draw_terrain(
     shown.set_cmap(shown.get_cmap().with_extremes(bad=MISSING))
     axes.set_xticks([])
     axes.set_yticks([])
-    axes.set_title(title, fontsize=11, **_shown_as(title))
+    literally = _shown_as(title)  # which matplotlib cannot wrap
+    axes.set_title(title, fontsize=11, wrap=not literally, **literally)
     if label:
         bar = axes.figure.colorbar(shown, ax=axes, shrink=0.85, pad=0.02)
         bar.set_label(label, **_shown_as(label))
     length = _round_length(cols * spacing / 4)
     words = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
-    x, y, wide = 0.05 * cols, 0.93 * rows, length / spacing
+    x, wide = 0.05 * cols - 0.5, length / spacing
+    across = axes.get_xaxis_transform()  # x in nodes, y a share of the map's height
     box = dict(facecolor="white", edgecolor="none", alpha=0.8, pad=1.5)
     text: dict[str, Any] = dict(bbox=box, fontsize=9, color="black", ha="center")
-    axes.plot([x, x + wide], [y, y], color="black", lw=5, solid_capstyle="butt")
-    axes.plot([x, x + wide], [y, y], color="white", lw=2.5, solid_capstyle="butt")
-    axes.text(x + wide / 2, y - 0.03 * rows, words, va="bottom", **text)
-    x, y = 0.95 * cols, 0.17 * rows
+    for colour, width in (("black", 5), ("white", 2.5)):
+        axes.plot([x, x + wide], [0.07] * 2, color=colour, lw=width, transform=across, solid_capstyle="butt")
+    axes.text(x + wide / 2, 0.1, words, va="bottom", transform=across, **text)
+    x, y = 0.95 * cols - 0.5, 0.17 * rows - 0.5
     arrow = dict(facecolor="black", edgecolor="white", width=3, headwidth=9, headlength=9)
     axes.annotate("N", (x, y - 0.12 * rows), (x, y), va="center", arrowprops=arrow, **text)
     axes.set(xlim=(-0.5, cols - 0.5), ylim=(rows - 0.5, -0.5))  # the bar's place widens no small map
@@ -388,6 +395,8 @@ def save(figure: Figure, path: StrPath, dpi: float = 120) -> Path:
     Raises InputError for another extension, no such folder, or a ``dpi`` that is no positive number.
     """
     path, dpi = drawable(path), positive_number(dpi, "dpi")
+    if not hasattr(figure, "savefig"):
+        raise bad("plot.save: figure", type(figure).__name__, "a figure of matplotlib")
     suffix = path.suffix.lower()
     options: dict[str, Any] = {"pil_kwargs": {"optimize": True}} if suffix == ".png" else {}
     with replacing(path) as file:
