@@ -909,3 +909,9 @@ def test_plan_takes_the_sources_of_render(capsys, tmp_path):
     sky = ("--source", "clear", "--sun", "135,30", "--direct", "3", "--json")
     code, out, _ = run(capsys, "plan", str(tmp_path / "a.npy"), *sky)
     assert code == 0 and "bright parts" in {choice["what"] for choice in json.loads(out)["choices"]}
+
+
+def test_chart_measures_nothing_of_a_wrong_call(here, capsys):
+    """An error leaves no folder behind."""
+    fails(capsys, 3, "chart", "--out", "new", "--sizes", "4", says="sizes")
+    fails(capsys, 4, "chart", "--out", "new", "--backend", "numpy,cuda:9", says="cuda:9")

@@ -17,7 +17,7 @@ from ..backends.base import Backend
 from ..errors import bad
 from ..images import Rendering
 from ..interreflection import sky_share
-from ..io.paths import StrPath
+from ..io.paths import StrPath, replacing_file
 from ..light.finite import solid_of
 from ..light.interreflection import Bounces, Round
 from ..rendering import render
@@ -158,6 +158,14 @@ def _between(scene: Scene, samples: Samples, engine: Backend) -> np.ndarray:
     return light
 
 
+def checked(names: list[str] | None, sizes: Sequence[int]) -> list[str]:
+    """The backends to measure, all that there are unless named. Raises InputError or BackendError."""
+    here = [info.name for info in backends() if info.available]
+    if not sizes or min(sizes) < 16:
+        raise bad("chart: sizes", list(sizes), "whole numbers from 16 on")
+    return list(dict.fromkeys(select(name).name for name in names or here))
+
+
 def measure(
     names: list[str] | None = None,
     sizes: Sequence[int] = (128, 512),
@@ -172,13 +180,7 @@ def measure(
     A setting but the plan's is left out if the next coarser one of its method took longer than ``longest``
     seconds a call, or would have, as the next smaller map has it.
     """
-    here = [info.name for info in backends() if info.available]
-    for name in names or []:
-        select(name)
-    chosen = list(dict.fromkeys(select(name).name for name in names or here))
-    if not sizes or min(sizes) < 16:
-        raise bad("chart: sizes", list(sizes), "whole numbers from 16 on")
-    best = select("auto")
+    chosen, best = checked(names, sizes), select("auto")
     rows: list[Row] = []
     durations: dict[tuple[str, str, str, float], tuple[int, float]] = {}
     jobs = [(kind, size) for kind in kinds for size in sorted(sizes)]
@@ -336,9 +338,11 @@ def draw(rows: list[Row], path: StrPath, title: str = "", labels: Mapping[str, s
     _draw_legend(figure, panels[len(kinds) :], rows, quickest, labels or {})
     if title:
         figure.suptitle(title, fontsize=10)
-    figure.savefig(path, dpi=100, metadata={"Date": None} if str(path).endswith(".svg") else None)
-    if str(path).endswith(".svg"):
-        _add_hints(Path(path), hints)
+    kind = Path(path).suffix[1:].lower()
+    with replacing_file(path) as file:
+        figure.savefig(file, format=kind, dpi=100, metadata={"Date": None} if kind == "svg" else None)
+        if kind == "svg":
+            _add_hints(file, hints)
 
 
 def _place(row: Row) -> tuple[float, float]:

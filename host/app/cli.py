@@ -28,6 +28,7 @@ from .. import io
 from ..backends import select
 from ..errors import BackendError, InputError, SkylampError, bad
 from ..io import geotiff as geo
+from ..io.paths import replacing_file
 from ..sources import Sky
 from . import chart as charts
 from . import demo as demos
@@ -511,10 +512,11 @@ def chart(
 ) -> None:
     """Measure speed and accuracy of every method, backend and plan on this machine, and draw a chart."""
     many = parsing.whole_numbers(sizes, "--sizes")
+    names = charts.checked([name for name in backend.split(",") if name], many)
     folder = io.folder(out)
     with output.progress_bar("measuring") as progress:
-        rows = charts.measure([name for name in backend.split(",") if name] or None, many, progress=progress)
-    with open(folder / "chart.csv", "w", newline="") as file:
+        rows = charts.measure(names, many, progress=progress)
+    with replacing_file(folder / "chart.csv") as path, open(path, "w", newline="") as file:
         writer = csv.DictWriter(file, rows[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
