@@ -915,3 +915,18 @@ def test_chart_measures_nothing_of_a_wrong_call(here, capsys):
     """An error leaves no folder behind."""
     fails(capsys, 3, "chart", "--out", "new", "--sizes", "4", says="sizes")
     fails(capsys, 4, "chart", "--out", "new", "--backend", "numpy,cuda:9", says="cuda:9")
+
+
+def test_what_cannot_be_written_or_drawn_is_refused_before_work(here, capsys, monkeypatch):
+    """Numbers of a PNG, the node and the sky of a picture: nothing is rendered before they are right."""
+    for name in ("render", "sky_view_factor"):
+        monkeypatch.setattr(sl, name, lambda *_, **__: pytest.fail("work was done"))
+    for flags, says in (
+        (("--white", "-1"), "--white"),
+        (("--white", "nan"), "--white"),
+        (("--bits", "12"), "--bits: got 12; allowed: 8 or 16"),
+    ):
+        fails(capsys, 3, "render", "depth.npy", "--out", "a.png", *flags, says=says)
+    both = "horizon", "depth.npy", "--out", "a.npy", "--plot", "b.png"
+    fails(capsys, 3, *both, "--at", "1.5,2", says="two whole numbers")
+    fails(capsys, 2, *both, "--at", "1,2", "--source", "lamp", says="is a sky here")

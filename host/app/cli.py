@@ -29,7 +29,6 @@ from ..backends import select
 from ..errors import BackendError, InputError, SkylampError, bad
 from ..io import geotiff as geo
 from ..io.paths import replacing_file
-from ..sources import Sky
 from . import chart as charts
 from . import demo as demos
 from . import mosaic, out_of_core, output, parsing, plot
@@ -186,6 +185,10 @@ def _tolerance(given: str | None, asked: Any, interreflection: bool | str) -> fl
 
 
 def _check_png(exposure: float | None, out: str, white: float | None, bits: int) -> None:
+    if white is not None and not 0 < white < np.inf:
+        raise bad("--white", white, "the finite value of the largest count, 0 that of 0: low < high")
+    if bits not in (8, 16):
+        raise bad("--bits", bits, "8 or 16")
     is_png, counts = out.lower().endswith(".png"), {"--white": white is not None, "--bits": bits != 8}
     if exposure is not None and (not is_png or any(counts.values())):
         raise typer.BadParameter(
@@ -415,20 +418,15 @@ def horizon(
         "negative-openness": partial(sl.openness, negative=True),
         "slopes": sl.horizons,
     }
-    node = parsing.numbers(at, "--at", "ROW,COL") if at else ()
+    node, sky = parsing.node(at) if at else None, parsing.sky(source, sun)
     scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
     maps: np.ndarray | None = None
     with output.progress_bar("looking for horizons"):
         name = select(backend).name
         if out:
             maps = quantities[what](scene, azimuths=azimuths, backend=name, max_distance=max_distance)
-        if picture:
-            if not all(n.is_integer() for n in node):
-                raise bad("--at", at, "two whole numbers")
-            row, col = map(int, node)
-            sky = parsing.source(source, None, None, sun)
-            assert isinstance(sky, Sky), "lamps and windows have options of their own"
-            drawn = plot.horizon(scene, row, col, sky, backend=name, max_distance=max_distance)
+        if picture and node:
+            drawn = plot.horizon(scene, *node, sky, backend=name, max_distance=max_distance)
             plot.save(drawn, picture)
     shape, scale = (), None
     if out and maps is not None:

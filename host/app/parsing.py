@@ -126,6 +126,23 @@ def source(
     return _sky(kind)
 
 
+def sky(kind: str, sun: str | None) -> Sky:
+    """The sky that --source and --sun describe."""
+    if kind in ("lamp", "window"):
+        raise typer.BadParameter(f"is a sky here: got {kind}", param_hint="--source")
+    found = source(kind, None, None, sun)
+    assert isinstance(found, Sky), "lamps and windows were refused"
+    return found
+
+
+def node(text: str) -> tuple[int, int]:
+    """The node that --at names."""
+    row, col = numbers(text, "--at", "ROW,COL")
+    if not (row.is_integer() and col.is_integer()):
+        raise bad("--at", text, "two whole numbers")
+    return int(row), int(col)
+
+
 def check_place(light: Source, raster: geo.Raster | None) -> None:
     """BadParameter for a lamp or window given in the coordinates of the file's reference system."""
     if raster is None or isinstance(light, Sky):
