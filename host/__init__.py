@@ -16,6 +16,7 @@ from .reflectance import BRDF, Lambertian, Mirror, Phong, grooves
 from .rendering import render
 from .scale import devices
 from .scene import Scene
+from .shading import normals
 from .sources.brightness import cie_overcast, cosine_power, environment_map, uniform
 from .sources.cie import CieSky, cie_clear, cie_sky, sun_position
 from .sources.over_time import SkyOverTime, sky_over_time
@@ -65,6 +66,7 @@ __all__ = [
     "environment_map",
     "grooves",
     "horizons",
+    "normals",
     "openness",
     "plan",
     "recover",

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from . import sources
+from .arrays import Quantity, labelled
 from .backends.base import Backend
 from .backends.numpy.luminance import gradient
 from .constants import STEEP
@@ -17,7 +19,7 @@ from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import Slices
 from .reflectance import BRDF, Mirror, Phong, frames, mirror_directions
-from .scene import Scene
+from .scene import Scene, is_scene
 from .sources.solids import Dome
 
 # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky: of every other azimuth each, so that
@@ -25,6 +27,7 @@ from .sources.solids import Dome
 # on a slope, of 100 by 0.3 and of 150 by 1.7 %; with 16 alone of 300 by 4.9 % without a difference
 BRDF_ELEVATIONS = 16, 13
 BRDF_RAYS = 12  # rays across a lamp or window, of a BRDF; its square in all
+NORMAL = Quantity("normal", "1", "unit normal of the surface")
 BRDF_BATCH = 2**18  # directions that a BRDF function is given at a time
 
 
@@ -49,6 +52,37 @@ def tilts(scene: Scene) -> np.ndarray:
         periodic = int(scene.sides == "periodic")
         gradient(depth, out, *scene.shape, depth.size, 0.5 / step, 1 / step, periodic)
     return out.reshape(2, *scene.shape)
+
+
+def normals(scene: Scene) -> np.ndarray:
+    """The surface's unit normals, with which images are shaded: (rows, cols, 3) float32.
+
+    N = (dz/dx, dz/dy, -1) / |.|, z the depth: towards the viewer's side, where z is negative. x grows with
+    columns, y with rows; for a DataArray x grows to the east and y to the south, whatever the order of its
+    rows. Slopes are central differences, one-sided beside the border and masked nodes, and go round a map
+    that repeats. Masked nodes are nan. A map on a GPU is copied to the host.
+
+    Raises InputError for what is no scene, or a lazy one.
+
+    Returns
+    -------
+    (rows, cols, 3) float32 [1]
+        A NumPy array; a DataArray with the dimension ``component`` (x, y, z), if the scene was made from one.
+
+    Example: ``(1 + sl.normals(scene) * (1, -1, -1)) / 2`` is a normal map's RGB: x right, y up, z to the
+    viewer.
+    """
+    is_scene(scene)
+    valid = scene.valid
+    along = tilts(scene) * np.asarray(scene.axes, np.float32)[:, None, None]
+    normal = np.stack([*along, np.full(scene.shape, -1, np.float32)], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal[~valid] = np.nan
+    result: Any = labelled(normal, scene.labels, NORMAL)
+    if scene.labels is not None:
+        result = result.rename(channel="component").assign_coords(component=["x", "y", "z"])
+    unit: np.ndarray = result
+    return unit
 
 
 def suns(

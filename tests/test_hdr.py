@@ -309,3 +309,25 @@ def test_tone_mapping(tmp_path, capsys):
         with pytest.raises(SystemExit) as ended:
             cli.main([*command, str(tmp_path / wrong[0]), *wrong[1:]])
         assert ended.value.code == 2
+
+
+def test_linear_decodes_what_tone_mapped_encodes():
+    """Every count of 8 bits comes back; 16 bits and tones alike; by the standard's own numbers."""
+    counts = np.arange(256, dtype=np.uint8)
+    light = io.linear(counts)
+    assert (io.tone_mapped(light) == counts).all() and light[[0, 255]].tolist() == [0, 1]
+    np.testing.assert_array_equal(io.linear(counts * np.uint16(257)), light)
+    np.testing.assert_array_equal(io.linear(counts / 255), light)
+    assert io.linear(np.uint8([[188]]))[0, 0] == pytest.approx(((188 / 255 + 0.055) / 1.055) ** 2.4)
+    assert io.linear(np.uint8([5]))[0] == pytest.approx(5 / 255 / 12.92)
+    for wrong in (np.arange(3), [1.5, 0.0], [-0.1], [np.nan], ["a"]):
+        refused("linear: image", io.linear, wrong)
+
+
+def test_an_environment_keeps_its_colours_if_asked(tmp_path):
+    """(rows, cols, 3) as they are in the file; luminance unless asked."""
+    colours = np.random.default_rng(0).random((4, 8, 3)).astype(np.float32)
+    io.write(tmp_path / "a.exr", colours)
+    kept, grey = (io.read_environment(tmp_path / "a.exr", colour=way) for way in (True, False))
+    np.testing.assert_array_equal(kept, colours)
+    np.testing.assert_allclose(grey, colours @ [0.2126, 0.7152, 0.0722], rtol=1e-6)

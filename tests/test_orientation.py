@@ -257,3 +257,26 @@ def test_the_zenith_of_a_map_is_one_place():
     light = sl.environment_map(image)
     zeros = [np.array([x, y, -1.0]) for x in (0.0, -0.0) for y in (0.0, -0.0)]
     assert len({float(light(L)) for L in zeros}) == 1
+
+
+def test_normals():
+    """Of a tilted plane by hand, in the axes of a map and of a DataArray; masked nodes are nan; periodic."""
+    y, x = np.mgrid[:5, :6]
+    depth = 1 + 2.0 * x + 3 * y  # dz/dx = 1, dz/dy = 1.5 at a spacing of 2
+    expected = np.array([1, 1.5, -1]) / np.sqrt(4.25)
+    mask = x > 0
+    found = sl.normals(sl.Scene(depth, 2.0, mask=mask))
+    assert found.dtype == np.float32 and np.isnan(found[:, 0]).all()
+    np.testing.assert_allclose(found[mask], np.broadcast_to(expected, (25, 3)), atol=1e-6)
+    coordinates = {"y": -2.0 * np.arange(5), "x": 2.0 * np.arange(6)}
+    south = xr.DataArray(50 - depth, coordinates, ("y", "x"), attrs={"units": "m"})
+    for height in (south, south[::-1], south[:, ::-1]):
+        given = sl.normals(sl.Scene.from_height(height))
+        assert given.dims == ("y", "x", "component") and given.component.values.tolist() == ["x", "y", "z"]
+        np.testing.assert_allclose(given.values, np.broadcast_to(expected, (5, 6, 3)), atol=1e-6)
+    wave = 2 + np.sin(np.arange(6) * np.pi / 3)[None] + np.zeros((5, 1))
+    rise = np.sin(np.pi / 3)
+    repeats = sl.normals(sl.Scene(wave, sides="periodic"))[0, 0]
+    np.testing.assert_allclose(repeats, np.array([rise, 0, -1]) / np.hypot(rise, 1), atol=1e-6)
+    with pytest.raises(sl.InputError, match="scene: got ndarray"):
+        sl.normals(depth)

@@ -183,7 +183,7 @@ Stop = Annotated[
     ),
 ]
 CountWhite = Annotated[
-    float | None, unset(help="Radiance of a full-scale count, for integer files that skylamp did not write")
+    float | None, unset(help="Radiance of a full-scale count, for linear counts that skylamp did not write")
 ]
 
 # -- of horizon

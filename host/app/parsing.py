@@ -273,6 +273,7 @@ def _scaled(file: Path, image: np.ndarray, white: float | None) -> np.ndarray:
             f"{file}: counts without a scale",
             image.dtype,
             "floating values, or unsigned counts with a scale",
-            "Give --white, the radiance of a full-scale count.",
+            "Give --white, the radiance of a full-scale count, if counts are linear; decode a photograph in"
+            " sRGB by skylamp.io.linear first.",
         )
     return image * (white / np.iinfo(image.dtype).max)

@@ -257,7 +257,8 @@ def _radiance(values: Any) -> np.ndarray:
             "image: counts of a file",
             f"dtype {image.dtype}",
             "radiance in the unit of the source's brightness, floating",
-            f"Divide it by {np.iinfo(image.dtype).max}, and multiply by the radiance of the largest count.",
+            f"Divide it by {np.iinfo(image.dtype).max}, and multiply by the radiance of the largest count;"
+            " of a photograph take skylamp.io.linear(image), since sRGB is not linear.",
         )
     image = image.astype(np.float64)
     wrong = ~(np.isfinite(image) & (image >= 0))

@@ -69,14 +69,15 @@ def read(path: StrPath, name: str | None = None, *, scaled: bool = False) -> np.
     return array
 
 
-def read_environment(path: StrPath) -> np.ndarray:
+def read_environment(path: StrPath, *, colour: bool = False) -> np.ndarray:
     """An environment map (rows, cols) float64 for :func:`skylamp.environment_map`: brightness per pixel.
 
     Reads what :func:`read` reads, and RGB: OpenEXR, Radiance HDR (divided by its EXPOSURE and COLORCORR), an
     8-bit RGB PNG or a (rows, cols, 3) .npy or .npz, turned into luminance, 0.2126 R + 0.7152 G + 0.0722 B
-    (ITU-R BT.709). Counts of a PNG that holds a range, see :func:`write`, are the values that they stand for;
-    those of other integer files are taken as proportional to brightness, full scale (255, 65535) as 1.
-    Floating values are taken as they are. Errors as in :func:`read`.
+    (ITU-R BT.709), unless ``colour`` keeps them, (rows, cols, 3). Counts of a PNG that holds a range, see
+    :func:`write`, are the values that they stand for; those of other integer files are taken as proportional
+    to brightness, full scale (255, 65535) as 1. Floating values are taken as they are. Errors as in
+    :func:`read`.
     """
     path = readable(path)
     suffix = path.suffix.lower()
@@ -89,7 +90,7 @@ def read_environment(path: StrPath) -> np.ndarray:
         raise bad(f"{path}: wrong shape", array.shape, "(rows, cols) or (rows, cols, 3)")
     scale = np.iinfo(array.dtype).max if array.dtype.kind in "iu" else 1
     array = array / np.float64(scale)
-    return array @ LUMINANCE if array.ndim == 3 else array
+    return array @ LUMINANCE if array.ndim == 3 and not colour else array
 
 
 def read_range(path: StrPath) -> tuple[float, float] | None:
@@ -184,6 +185,26 @@ def tone_mapped(image: ArrayLike, exposure: float = 0.0) -> np.ndarray:
     tones = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     counts: np.ndarray = np.rint(255 * tones).astype(np.uint8)
     return counts
+
+
+def linear(image: ArrayLike) -> np.ndarray:
+    """Light of an image in sRGB's tones (IEC 61966-2-1), as cameras and :func:`tone_mapped` make them:
+    float64 of the same shape, 0 to 1.
+
+    ``image``: counts of 8 or 16 bits, uint8 or uint16, or tones from 0 to 1. The light is proportional to
+    radiance where a camera applied no other curve and clipped nothing. Raises InputError for other types, or
+    tones beyond 0 to 1.
+
+    Example: ``io.linear(imageio.imread("photo.jpg")) @ (0.2126, 0.7152, 0.0722)``, a photograph's luminance.
+    """
+    tones = numbers(image, "linear: image")
+    if tones.dtype.kind != "f" and tones.dtype not in (np.uint8, np.uint16):
+        raise bad("linear: image", tones.dtype, "uint8, uint16, or tones from 0 to 1, floating")
+    tones = tones / np.float64(1 if tones.dtype.kind == "f" else np.iinfo(tones.dtype).max)
+    if not (tones.min() >= 0 and tones.max() <= 1):  # nan is neither
+        raise bad("linear: image", f"tones from {tones.min()} to {tones.max()}", "0 to 1")
+    light: np.ndarray = np.where(tones <= 0.04045, tones / 12.92, ((tones + 0.055) / 1.055) ** 2.4)
+    return light
 
 
 def terrain() -> tuple[np.ndarray, float]:
