@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,8 @@ class Raster:
     values those of points, AREA_OR_POINT; unit: of the values, as the file tells it, "" if it tells none.
     """
 
-    values: np.ndarray
-    mask: np.ndarray
+    values: np.ndarray = field(repr=False)
+    mask: np.ndarray = field(repr=False)
     spacing: float
     crs: Any  # rasterio.crs.CRS
     transform: Any  # affine.Affine

@@ -195,8 +195,12 @@ def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray
 
     Brightness is averaged over ``window`` round each azimuth.
     """
-    table = sky.table(azimuths.angles, np.full(len(azimuths), window))
-    return unoccluded.by_normals(table, azimuths.angles, azimuths.widths)
+    angles, widths = azimuths.angles, azimuths.widths
+
+    def make() -> np.ndarray:
+        return unoccluded.by_normals(sky.table(angles, np.full(len(angles), window)), angles, widths)
+
+    return sky.once((angles.tobytes(), widths.tobytes(), window), make)
 
 
 def with_bright_parts(

@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,6 +134,24 @@ class Function(Distribution):
             raise bad("brightness function: wrong result", str(error), "an array of real numbers") from None
 
 
+@dataclass(frozen=True)
+class Formula(Distribution):
+    """A function of directions and numbers alone, both hashable; ``peaks`` as those of :class:`Function`."""
+
+    function: Callable[..., np.ndarray]
+    numbers: tuple[Any, ...]
+    peaks: Directions | None = None
+
+    def by_formula(self) -> bool:
+        return True
+
+    def narrow(self) -> Directions | None:
+        return self.peaks
+
+    def __call__(self, L: np.ndarray) -> np.ndarray:
+        return self.function(L, *self.numbers)
+
+
 def distribution(function: BrightnessFunction) -> Distribution:
     """``function`` itself if it is a ``Distribution``, else with the directions of its ``peaks``."""
     if isinstance(function, Distribution):
@@ -150,7 +168,7 @@ def uniform(brightness: float = 1.0) -> BrightnessFunction:
     function
         Of unit vectors (..., 3); it returns the same brightness (...) for all.
     """
-    return Function(partial(_uniform, brightness=brightness_number(brightness)), ())
+    return Formula(_uniform, (brightness_number(brightness),), ())
 
 
 def _uniform(L: np.ndarray, brightness: float) -> np.ndarray:
@@ -179,15 +197,12 @@ def cosine_power(
     if not allowed:
         raise bad("cosine_power: power", repr(power), "a finite number >= 0")
     unit, value = along / np.linalg.norm(along), brightness_number(brightness)
-
-    spot = partial(_spot, power=power, axis=unit, brightness=value)
-    if power <= WIDE_POWER:
-        return Function(spot, ())
-    return spot if power <= NARROW_POWER else Function(spot, (tuple(-unit),))
+    peaks = () if power <= WIDE_POWER else None if power <= NARROW_POWER else (tuple((-unit).tolist()),)
+    return Formula(_spot, (float(power), tuple(unit.tolist()), value), peaks)
 
 
-def _spot(L: np.ndarray, power: float, axis: np.ndarray, brightness: float) -> np.ndarray:
-    light: np.ndarray = brightness * np.maximum(0.0, -(np.asarray(L) @ axis)) ** power
+def _spot(L: np.ndarray, power: float, axis: tuple[float, ...], brightness: float) -> np.ndarray:
+    light: np.ndarray = brightness * np.maximum(0.0, -(np.asarray(L) @ np.array(axis))) ** power
     return light
 
 
@@ -199,7 +214,7 @@ def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
     function
         Of unit vectors (..., 3); it returns their brightness (...) [unit of ``zenith``].
     """
-    return Function(partial(_overcast, zenith=brightness_number(zenith)), ())
+    return Formula(_overcast, (brightness_number(zenith),), ())
 
 
 def _overcast(L: np.ndarray, zenith: float) -> np.ndarray:

@@ -13,7 +13,7 @@ import math
 import threading
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -62,6 +62,9 @@ INNER = 0.1  # share of a small part's light from which on far brighter cells in
 # cells along a pixel of a map from which on a bright one is not divided further. With 10 its extent errs by
 # 0.3 %, with 5 by 2 %, with 20 by 0.06 % (tests/test_integrals.py)
 LIGHT_CELLS = 16
+# tables that one sky's integrals keep, of light by normal 17 kB each, of chords up to 2 MB; chosen: one call
+# needs a tenth of them
+KEPT_TABLES = 32
 # of tables of maps and functions, together; chosen: five maps of 2048 x 4096 pixels in grey
 KEPT_BYTES = 2**28
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
@@ -324,7 +327,7 @@ class Integrals:
         self._sums = [_cumulative(part) for part in parts]
         small = [values for part in self.bright_parts for values in part.cells]
         self.nbytes = sum(part.nbytes for part in (*self._sums, *small))
-        self._chords: dict[tuple[int, int], np.ndarray] = {}
+        self._kept: dict[tuple[Any, ...], np.ndarray] = {}
         is_smooth = math.isinf(tolerance) or self._misplaced() <= MISPLACED_SHARE * tolerance
         self.knots = SKY_KNOTS if is_smooth else FINE_KNOTS
         del self._source  # whose life ends that of these tables
@@ -493,21 +496,32 @@ class Integrals:
         above: np.ndarray = ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
         return above
 
+    def once(self, key: tuple[Any, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
+        """What ``make`` gives, kept under ``key``, which says all that it depends on; not to be changed."""
+        made = self._kept.get(key)
+        if made is None:
+            for oldest in list(self._kept)[: max(0, len(self._kept) + 1 - KEPT_TABLES)]:
+                self._kept.pop(oldest, None)
+            made = self._kept[key] = make()
+        return made
+
     def chords(self, turns: int, knots: int) -> np.ndarray:
         """The brightness of a lamp or window as slices take it, without small bright parts.
 
         The integrals of :meth:`above` per radian, over even cells of the diamond angle: (turns, knots, 2)
         float32; see opencl/slices.cl. Kept, not to be changed.
         """
-        if (turns, knots) not in self._chords:
+
+        def make() -> np.ndarray:
             place = 4 * np.arange(turns + 1) / turns
             cosine = np.where(place < 2, 1 - place, place - 3)
             sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
             azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
             light = self.above(azimuth[:-1], azimuth[1:], np.linspace(0, 1, knots), True)
             per_radian = (light / np.diff(azimuth)[:, None]).transpose(1, 2, 0)
-            self._chords[turns, knots] = np.ascontiguousarray(per_radian, np.float32)
-        return self._chords[turns, knots]
+            return np.ascontiguousarray(per_radian, np.float32)
+
+        return self.once(("chords", turns, knots), make)
 
 
 _of_formulas = functools.lru_cache(16)(Integrals)  # 1.3 MB each, 20 to 60 ms to make
