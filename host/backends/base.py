@@ -157,9 +157,11 @@ def has_room(backend: Backend, bytes_needed: int, largest: int) -> bool:
 
     ``largest``: bytes of the largest array among them.
     """
-    if bytes_needed > backend.memory:
+    free = backend.memory
+    if bytes_needed > free:
         backend.trim()
-    return bytes_needed <= backend.memory and largest <= backend.most_array_bytes
+        free = backend.memory
+    return bytes_needed <= free and largest <= backend.most_array_bytes
 
 
 def reserve(backend: Backend, bytes_needed: int, what: str, fix: str, largest: int | None = None) -> None:

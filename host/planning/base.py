@@ -272,12 +272,11 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
     touches = "The lamp touches the surface:"
     if isinstance(source, sources.Window):
         touches = "The window touches the surface:"
-    if gap < 0:
-        yield f"{touches} it reaches {-gap:.2g} spacings into it, where {UNDEFINED}."
-    elif gap == 0 and getattr(source, "radius", None) is None:
+    if gap == 0 and getattr(source, "radius", None) is None:
         yield f"{touches} nodes lie in its plane, 0 spacings from it, where {UNDEFINED}."
     elif gap < 1:
-        yield f"{touches} it ends {gap:.2g} spacings from it, and the grid holds nothing finer than 1."
+        where = f"reaches {-gap:.2g} spacings into" if gap < 0 else f"ends {gap:.2g} spacings from"
+        yield f"{touches} it {where} it, and the grid holds nothing finer than 1."
     if isinstance(source, sources.Lamp) and source.volume is None and not planner.closed:
         if (lost := left_below(scene, source, planner.engine)) > NOTED_SHARE * planner.tolerance:
             yield lamp_below(lost)

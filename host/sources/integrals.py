@@ -62,9 +62,9 @@ INNER = 0.1  # share of a small part's light from which on far brighter cells in
 # cells along a pixel of a map from which on a bright one is not divided further. With 10 its extent errs by
 # 0.3 %, with 5 by 2 %, with 20 by 0.06 % (tests/test_integrals.py)
 LIGHT_CELLS = 16
-# tables that one sky's integrals keep, of light by normal 17 kB each, of chords up to 2 MB; chosen: one call
-# needs a tenth of them
-KEPT_TABLES = 32
+# tables that one sky's integrals keep, and the largest of them [byte]: 8 azimuths take 4 or 130 kB, light by
+# normal 17 kB, chords up to 2 MB; chosen: one call needs a third of them
+KEPT_TABLES, LARGEST_KEPT = 32, 2**21
 # of tables of maps and functions, together; chosen: five maps of 2048 x 4096 pixels in grey
 KEPT_BYTES = 2**28
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
@@ -464,10 +464,15 @@ class Integrals:
 
         Integrals of B cos^2 and of B sin cos over elevation, from its diamond angle i / (knots - 1) to the
         zenith, averaged over the sectors round ``angles`` that are ``widths`` wide [rad], and their
-        differences to the next knot.
+        differences to the next knot. Kept, not to be changed.
         """
-        sines = np.sin(elevation_of(np.linspace(0, 1, knots or self.knots)))
-        return _with_steps(self.above(angles - widths / 2, angles + widths / 2, sines) / widths[:, None])
+        count = knots or self.knots
+
+        def make() -> np.ndarray:
+            sines = np.sin(elevation_of(np.linspace(0, 1, count)))
+            return _with_steps(self.above(angles - widths / 2, angles + widths / 2, sines) / widths[:, None])
+
+        return self.once((angles.tobytes(), widths.tobytes(), count), make)
 
     def above(
         self, begin: np.ndarray, end: np.ndarray, sines: np.ndarray, unbiased: bool = False
@@ -502,7 +507,10 @@ class Integrals:
         if made is None:
             for oldest in list(self._kept)[: max(0, len(self._kept) + 1 - KEPT_TABLES)]:
                 self._kept.pop(oldest, None)
-            made = self._kept[key] = make()
+            made = make()
+            made.flags.writeable = False
+            if made.nbytes <= LARGEST_KEPT:
+                self._kept[key] = made
         return made
 
     def chords(self, turns: int, knots: int) -> np.ndarray:
