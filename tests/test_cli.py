@@ -930,3 +930,13 @@ def test_what_cannot_be_written_or_drawn_is_refused_before_work(here, capsys, mo
     both = "horizon", "depth.npy", "--out", "a.npy", "--plot", "b.png"
     fails(capsys, 3, *both, "--at", "1.5,2", says="two whole numbers")
     fails(capsys, 2, *both, "--at", "1,2", "--source", "lamp", says="is a sky here")
+
+
+def test_measured_irradiance_of_a_clear_sky(here, capsys):
+    """Open level ground receives DHI + DNI x sin(elevation)."""
+    np.save("level.npy", np.zeros((8, 8)))
+    sky = "--source", "clear", "--sun", "135,30", "--horizontal", "90", "--direct", "750"
+    flags = "--quantity", "irradiance", "--backend", "numpy"
+    assert run(capsys, "render", "level.npy", "a.npy", "--height", *sky, *flags)[0] == 0
+    np.testing.assert_allclose(np.load("a.npy"), 90 + 750 * 0.5, rtol=1e-4)
+    fails(capsys, 2, "render", "level.npy", "b.npy", "--horizontal", "90", says="--horizontal: goes with")

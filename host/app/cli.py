@@ -69,8 +69,8 @@ def _options(
 
 
 IN_TILES = (  # options of an image that is made tile by tile
-    "--albedo, --source, --sun, --direct, --quantity, --method, --tolerance, --azimuths, --max-distance,"
-    " --interreflection"
+    "--albedo, --source, --sun, --horizontal, --direct, --quantity, --method, --tolerance, --azimuths,"
+    " --max-distance, --interreflection"
 )
 
 
@@ -90,6 +90,7 @@ def render(
     lamp: opt.Lamp = None,
     window: opt.Window = None,
     sun: opt.Sun = None,
+    horizontal: opt.Horizontal = None,
     direct: opt.Direct = 0.0,
     sides: opt.Sides = "open",
     method: opt.Method = "auto",
@@ -121,7 +122,7 @@ def render(
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     _check_png(exposure, out, white, bits)
     surface = parsing.reflectance(albedo, specular, exponent)
-    light = parsing.source(source, lamp, window, sun, direct)
+    light = parsing.source(source, lamp, window, sun, direct, horizontal)
     asked = method != "auto" or azimuths or max_distance or hemicube or filled is not None
     between = parsing.INTERREFLECTION[interreflection]
     options: dict[str, Any] = dict(
@@ -139,7 +140,7 @@ def render(
         to_read = height is False, spacing, nodata, resample, sides != "open"
         others = *to_read, white, bits != 8, exposure, error
         out_of_core.checked_output(IN_TILES, out, others)
-        words = dict(albedo=albedo, source=source, sun=sun, direct=direct)
+        words = dict(albedo=albedo, source=source, sun=sun, direct=direct, horizontal=horizontal)
         work = out_of_core.image(file, surface, light, backend, words, **options)
         return _by_tiles(file, out, work, machines, as_json)
     scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
@@ -231,6 +232,7 @@ def plan(
     lamp: opt.Lamp = None,
     window: opt.Window = None,
     sun: opt.Sun = None,
+    horizontal: opt.Horizontal = None,
     direct: opt.Direct = 0.0,
     sides: opt.Sides = "open",
     tolerance: opt.Tolerance = "1%",
@@ -243,7 +245,7 @@ def plan(
     """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
     surface = parsing.reflectance(albedo, specular, exponent)
     scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
-    light = parsing.source(source, lamp, window, sun, direct)
+    light = parsing.source(source, lamp, window, sun, direct, horizontal)
     parsing.check_place(light, raster)
     with output.progress_bar("planning"):
         made = sl.plan(

@@ -3,13 +3,13 @@
 _OF = {
     "render": (
         "skylamp render depth.npy image.png",
-        "skylamp render dem.tif light.tif --source clear --sun 2026-06-21T12:00Z,46.5,8.0 --direct 3",
+        "skylamp render dem.tif light.tif --source clear --sun 135,30 --horizontal 90 --direct 750",
         "skylamp render depth.npy image.png --lamp 40,30,-20,5 --tolerance 0.3% --error error.npy",
     ),
     "plan": ("skylamp plan dem.tif --tolerance 0.3%", "skylamp plan depth.npy --lamp 40,30,-20,5"),
     "recover": (
         "skylamp recover image.npy depth.npz",
-        "skylamp recover photo.png depth.npy --white 1.0 --sides dark --source overcast",
+        "skylamp recover counts.png depth.npy --white 1.0 --sides dark --source overcast",
     ),
     "horizon": (
         "skylamp horizon dem.tif svf.tif",

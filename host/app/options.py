@@ -106,7 +106,19 @@ Quiet = Annotated[
 
 # -- of render
 Direct = Annotated[
-    float, typer.Option(help="Direct normal irradiance of the sun, for a sky with brightness 1 at the zenith")
+    float,
+    typer.Option(
+        help="Direct normal irradiance of the sun (DNI), of a clear or CIE sky; in one unit with DHI"
+    ),
+]
+Horizontal = Annotated[
+    float | None,
+    unset(
+        help=(
+            "Diffuse horizontal irradiance (DHI) of a clear or CIE sky, such as 90 W/m2  [default: that of a"
+            " sky with brightness 1 at the zenith]"
+        )
+    ),
 ]
 Method = Annotated[
     Literal["auto", "lattice", "horizon", "unoccluded"], typer.Option(help="Method of rendering")

@@ -98,9 +98,14 @@ def _share(text: str, option: str) -> float | np.ndarray:
 
 
 def source(
-    kind: str | None, lamp: str | None, window: str | None, sun: str | None = None, direct: float = 0.0
+    kind: str | None,
+    lamp: str | None,
+    window: str | None,
+    sun: str | None = None,
+    direct: float = 0.0,
+    horizontal: float | None = None,
 ) -> Source:
-    """The source that --source, --lamp, --window, --sun and --direct describe."""
+    """The source that --source, --lamp, --window, --sun, --direct and --horizontal describe."""
     kind = kind or ("lamp" if lamp else "window" if window else "sky")
     for name, given in (("lamp", lamp), ("window", window)):
         if bool(given) != (kind == name):
@@ -110,10 +115,11 @@ def source(
                 param_hint=f"--{name}",
             )
     cie = re.fullmatch("clear|cie([0-9]+)", kind)
-    if (sun or direct) and not cie:
+    given = {"--sun": sun, "--direct": direct, "--horizontal": horizontal is not None}
+    if any(given.values()) and not cie:
         raise typer.BadParameter(
             f"goes with --source clear or cie1 to cie15: got --source {kind}",
-            param_hint="--sun" if sun else "--direct",
+            param_hint=next(name for name in given if given[name]),
         )
     if lamp:
         x, y, z, radius = numbers(lamp, "--lamp", "X,Y,Z,R")
@@ -122,7 +128,8 @@ def source(
         x0, x1, y0, y1 = numbers(window, "--window", "X0,X1,Y0,Y1")
         return Window(x=(x0, x1), y=(y0, y1))
     if cie:
-        return Sky(cie_sky(int(cie[1] or CLEAR), None if sun is None else _sun(sun), direct=direct))
+        place = None if sun is None else _sun(sun)
+        return Sky(cie_sky(int(cie[1] or CLEAR), place, horizontal=horizontal, direct=direct))
     return _sky(kind)
 
 
