@@ -35,6 +35,11 @@ def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
     return InputError(f"{what}: got {got}; allowed: {allowed}." + (f" {fix}" if fix else ""))
 
 
-def lacking(what: str, package: str, extra: str) -> InputError:
-    """An InputError for a package that is not installed, with the pip command that installs it."""
-    return InputError(f"{what} needs {package}, which is not installed: pip install 'skylamp[{extra}]'")
+def lacking(what: str, package: str, extra: str, error: ImportError) -> InputError:
+    """An InputError for a package that is not installed, or that ``error`` says is broken, with the pip
+    command that installs it."""
+    command = f"pip install 'skylamp[{extra}]'"
+    if isinstance(error, ModuleNotFoundError):
+        lacks = "not all of which are installed" if " and " in package else "which is not installed"
+        return InputError(f"{what} needs {package}, {lacks}: {command}")
+    return InputError(f"{what} needs {package}, which cannot be imported ({error}): {command} --upgrade")

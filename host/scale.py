@@ -960,7 +960,7 @@ def devices(*names: str) -> Any:
     try:
         from distributed import WorkerPlugin
     except ImportError as error:
-        raise lacking("Workers", "dask.distributed", "dask") from error
+        raise lacking("Workers", "dask.distributed", "dask", error) from error
 
     class Devices(WorkerPlugin):
         name = "skylamp-devices"

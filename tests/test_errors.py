@@ -5,13 +5,13 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
 import skylamp as sl
-from skylamp.errors import BackendError, InputError
+from skylamp.errors import BackendError, InputError, lacking
 
 DEPTH = np.ones((4, 6))
 NAN = np.where(np.arange(24).reshape(4, 6) == 9, np.nan, 1.0)
@@ -527,3 +527,20 @@ def test_errors_travel_between_processes(kind):
     error = pickle.loads(pickle.dumps(kind("what, where")))
     assert type(error) is kind and str(error) == "what, where"
     assert type(kind.__new__(kind)) is kind
+
+
+def test_a_broken_package_is_not_called_missing():
+    """A package that is there and cannot be imported: its own error, and to upgrade."""
+    gone = lacking("a picture", "matplotlib", "plot", ModuleNotFoundError("No module named 'matplotlib'"))
+    broken = lacking("a picture", "matplotlib", "plot", ImportError("numpy.core.multiarray failed"))
+    assert str(gone).endswith("which is not installed: pip install 'skylamp[plot]'")
+    assert "cannot be imported (numpy.core.multiarray failed)" in str(broken) and "--upgrade" in str(broken)
+
+
+def test_a_folder_that_pyopencl_left_behind(monkeypatch):
+    """An uninstalled pyopencl that is a namespace without names makes OpenCL unavailable, and no error."""
+    from skylamp.backends import opencl
+
+    monkeypatch.setitem(sys.modules, "pyopencl", ModuleType("pyopencl"))
+    (info,) = opencl.probe()
+    assert not info.available and info.why == "pyopencl is not installed"

@@ -520,8 +520,10 @@ def chart(
         writer = csv.DictWriter(file, rows[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+    written = folder / "chart.csv"
     try:
         charts.draw(rows, folder / "chart.png")
+        written = folder / "chart.png"
     except ImportError:
         text = "no chart.png without matplotlib: pip install 'skylamp[plot]'"
         print(f"skylamp: warning: {text}", file=sys.stderr)
@@ -532,7 +534,7 @@ def chart(
         ratios = ", ".join(f"{ratio:.2g} ({100 * t:g} %)" for ratio, t in zip(times, charts.TOLERANCES))
         rest = "times as long as the quickest setting within its tolerance"
         print(f"{kind}: the default takes {ratios} {rest}", file=sys.stderr)
-    output.message(f"{folder / 'chart.png'}: {len(rows)} points")
+    output.message(f"{written}: {len(rows)} points")
 
 
 @app.command(epilog=epilog("backends"))
@@ -648,6 +650,7 @@ def view(
         viewer = views.Viewer(views.read(file, height, spacing, resample, nodata), select(backend).name)
         viewer.scene(views.Settings())  # checks the map
         views.check_port(port)
+    views.imported()
     output.message(f"http://127.0.0.1:{port} shows {file}; Ctrl-C ends it.")
     views.serve(viewer, port, browser)
 

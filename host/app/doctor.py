@@ -12,7 +12,10 @@ from ..backends import backends
 from ..backends.base import available_memory
 
 PACKAGES = ("skylamp", "numpy", "warp-lang", "pyopencl", "pocl-binary-distribution", "imageio", "tifffile")
-OPTIONAL = ("matplotlib", "rasterio", "OpenEXR", "opencv-python-headless", "pvlib", "dask", "xarray", "scipy")
+OPTIONAL = tuple(
+    "matplotlib rasterio OpenEXR opencv-python-headless pvlib dask distributed xarray zarr filelock rioxarray"
+    " nicegui".split()
+)
 PREFIXES = ("SKYLAMP_", "POCL_", "WARP_", "PYOPENCL_", "OCL_", "CUDA_", "XDG_CACHE_HOME", "PYTHONWARNINGS")
 
 

@@ -141,7 +141,7 @@ def horizon(what: str, definition: str, azimuths: int, max_distance: float | Non
         "negative-openness": partial(mean_openness, upside_down=True, **options),
     }
     if what not in works:
-        raise bad("--what with --memory", repr(what), " | ".join(works))
+        raise bad("--what of a map in tiles", repr(what), " | ".join(works))
     settings = dict(what=what, definition=definition, azimuths=azimuths, max_distance=max_distance)
     return Quantity(
         works[what], Audit(backend), settings, max_distance, -1.0 if what.startswith("neg") else 1.0
@@ -181,7 +181,7 @@ def write_quantity(
     (Its shape, (rows, cols) or (bands, rows, cols); the backends of the workers.)
     """
     if not out.lower().endswith((".tif", ".tiff")):
-        raise bad("--out with --memory", repr(out), "a .tif")
+        raise bad("--out of a map in tiles", repr(out), "a .tif")
     if machines.workers < 1:
         raise bad("--workers", machines.workers, "at least 1")
     if machines.workers > 1 and machines.scheduler is not None:
@@ -224,7 +224,7 @@ def _imported(module: str) -> Any:
         importlib.import_module("zarr")
         return importlib.import_module(module)
     except ImportError as error:
-        raise lacking("--memory", "dask.distributed, zarr and filelock", "dask") from error
+        raise lacking("A map in tiles", "dask.distributed, zarr and filelock", "dask", error) from error
 
 
 def memory_of(tile: int) -> int:

@@ -115,12 +115,10 @@ def source(
                 param_hint=f"--{name}",
             )
     cie = re.fullmatch("clear|cie([0-9]+)", kind)
-    given = {"--sun": sun, "--direct": direct, "--horizontal": horizontal is not None}
-    if any(given.values()) and not cie:
-        raise typer.BadParameter(
-            f"goes with --source clear or cie1 to cie15: got --source {kind}",
-            param_hint=next(name for name in given if given[name]),
-        )
+    of_cie = {"--sun": sun, "--direct": direct, "--horizontal": horizontal is not None}
+    for option in [option for option, given in of_cie.items() if given and not cie]:
+        text = f"goes with --source clear or cie1 to cie15: got --source {kind}"
+        raise typer.BadParameter(text, param_hint=option)
     if lamp:
         x, y, z, radius = numbers(lamp, "--lamp", "X,Y,Z,R")
         return Lamp(center=(x, y, z), radius=radius)

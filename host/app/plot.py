@@ -424,7 +424,7 @@ def _matplotlib() -> Any:
 
         return matplotlib
     except ImportError as error:
-        raise lacking("a picture", "matplotlib", "plot") from error
+        raise lacking("a picture", "matplotlib", "plot", error) from error
 
 
 def _figure(width: float, height: float) -> Figure:

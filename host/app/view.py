@@ -410,12 +410,17 @@ def check_port(port: int) -> None:
         raise bad("--port", f"{port} ({error.strerror})", "a port that is free") from None
 
 
+def imported() -> Any:
+    """NiceGUI. Raises InputError without it."""
+    try:
+        return importlib.import_module("nicegui")
+    except ImportError as error:
+        raise lacking("skylamp view", "nicegui", "view", error) from error
+
+
 def serve(viewer: Viewer, port: int, opens: bool) -> None:
     """Serve the page on this machine until it is interrupted. Raises InputError without NiceGUI."""
-    try:
-        nicegui: Any = importlib.import_module("nicegui")
-    except ImportError as error:
-        raise lacking("skylamp view", "nicegui", "view") from error
+    nicegui = imported()
 
     @nicegui.ui.page("/")  # type: ignore[untyped-decorator]
     def page() -> None:

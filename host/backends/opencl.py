@@ -64,8 +64,12 @@ def probe() -> list[BackendInfo]:
     except ImportError as error:
         return [BackendInfo("opencl", "", False, f"pyopencl cannot be imported ({error})")]
     try:
+        failure = cl.Error
+    except AttributeError:  # a folder that an uninstalled pyopencl left behind
+        return [BackendInfo("opencl", "", False, "pyopencl is not installed")]
+    try:
         platforms = cl.get_platforms()
-    except cl.Error as error:
+    except failure as error:
         why = f"no OpenCL platform ({error}); pocl-binary-distribution brings one for the CPU"
         return [BackendInfo("opencl", "", False, why)]
     infos = []
@@ -78,9 +82,8 @@ def probe() -> list[BackendInfo]:
                 why = UNKNOWN_PROCESSOR
             gpu = bool(device.type & cl.device_type.GPU)
             infos.append(BackendInfo(f"opencl:{p}:{d}", described, not why, why, gpu))
-    return sorted(infos, key=lambda info: not info.gpu) or [
-        BackendInfo("opencl", "", False, "the OpenCL platforms have no device")
-    ]
+    why = "no OpenCL platform has a device; PoCL has none if it cannot write to POCL_CACHE_DIR or ~/.cache"
+    return sorted(infos, key=lambda info: not info.gpu) or [BackendInfo("opencl", "", False, why)]
 
 
 def knows_no_processor(version: str) -> bool:

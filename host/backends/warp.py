@@ -48,7 +48,8 @@ def probe() -> list[BackendInfo]:
         infos = [BackendInfo("warp:cpu", "Warp on the CPU, 1 thread", here, why)]
         infos += [BackendInfo(f"warp:{d.alias}", d.name, True, gpu=True) for d in wp.get_cuda_devices()]
     except (ImportError, OSError, RuntimeError) as error:
-        return [BackendInfo("warp:cpu", "", False, f"warp-lang cannot be started ({error})")]
+        fix = "; WARP_CACHE_PATH may name a folder that can be written" * isinstance(error, PermissionError)
+        return [BackendInfo("warp:cpu", "", False, f"warp-lang cannot be started ({error}){fix}")]
     if len(infos) == 1:
         infos.append(BackendInfo("warp:cuda:0", "", False, "Warp finds no CUDA device or driver", gpu=True))
     return infos

@@ -284,7 +284,7 @@ def _rasterio(path: Path) -> Any:
 
         return rasterio
     except ImportError as error:
-        raise lacking(f"{path}: a GeoTIFF", "rasterio", "geo") from error
+        raise lacking(f"{path}: a GeoTIFF", "rasterio", "geo", error) from error
 
 
 def _metres(path: Path, raster: Raster) -> tuple[float, float]:

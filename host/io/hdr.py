@@ -27,7 +27,7 @@ def module(path: Path) -> Any:
         return cv2
     except ImportError as error:
         package = "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless"
-        raise lacking(str(path), package, "hdr") from error
+        raise lacking(str(path), package, "hdr", error) from error
 
 
 def read(path: Path) -> np.ndarray:

@@ -195,7 +195,7 @@ def sun_position(
         import pandas
         import pvlib
     except ImportError as error:
-        raise lacking("sun_position", "pvlib", "sun") from error
+        raise lacking("sun_position", "pvlib", "sun", error) from error
     position = pvlib.solarposition.get_solarposition(
         pandas.DatetimeIndex([when]), numbers[0], numbers[1], altitude=numbers[2]
     )

@@ -117,7 +117,7 @@ def sky_over_time(
         import pandas
         import pvlib
     except ImportError as error:
-        raise lacking("sky_over_time", "pvlib", "sun") from error
+        raise lacking("sky_over_time", "pvlib", "sun", error) from error
     index = _index(times, pandas)
     step = _hours(index, hours)
     measured = _measured(dni, dhi, index, pandas.Timedelta(hours=float(step.max())))
