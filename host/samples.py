@@ -94,21 +94,8 @@ class Samples:
         self.shift = 5 if min(scene.shape) >= 512 else 4 if min(scene.shape) >= 64 else 3
         down, across = (((n - 1) >> self.shift) + 1 for n in (rows, cols))
         self.tops = engine.empty((3, down, across), np.float32)
-        engine.launch(
-            "pilot",
-            "pool",
-            (across, down),
-            self.heights,
-            self.tops,
-            rows,
-            cols,
-            across,
-            down,
-            self.shift,
-            int(self.periodic),
-            CLIFF,
-            lanes=1,
-        )
+        size = rows, cols, across, down, self.shift, int(self.periodic), CLIFF
+        engine.launch("pilot", "pool", (across, down), self.heights, self.tops, *size, lanes=1)
         highest, lowest, cliffs = engine.download(self.tops).reshape(3, down, across)
         for axis in (0, 1):  # a step may run between blocks
             lowest = np.minimum(
@@ -188,24 +175,9 @@ class Samples:
         given, slopes = engine.upload(rays.reshape(-1, 8)), engine.empty((count,), np.float32)
         far = self.relief / SAMPLED_SLOPE if self.periodic else math.hypot(self.rows, self.cols)
         across = ((self.cols - 1) >> self.shift) + 1
-        engine.launch(
-            "pilot",
-            "pilot",
-            (count,),
-            self.heights,
-            self.tops,
-            given,
-            slopes,
-            count,
-            self.rows,
-            self.cols,
-            across,
-            self.shift,
-            int(self.periodic),
-            self.highest,
-            float(min(reach, far) + 1e-3),
-            lanes=1,
-        )
+        maps, reach = (self.heights, self.tops, given, slopes), float(min(reach, far) + 1e-3)
+        size = count, self.rows, self.cols, across, self.shift, int(self.periodic), self.highest, reach
+        engine.launch("pilot", "pilot", (count,), *maps, *size, lanes=1)
         return engine.download(slopes).reshape(shape).astype(float)
 
     def plane(self, cosine: Values, sine: Values) -> np.ndarray:

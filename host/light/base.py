@@ -157,20 +157,8 @@ def judged(
     block = max(SUMMED_ROWS, -(-rows // MOST_SUMS))
     blocks = -(-rows // block)
     sums = engine.empty((5, blocks, cols), np.float32)
-    engine.launch(
-        "ground",
-        "judge",
-        (cols, blocks),
-        heights,
-        image,
-        half_difference,
-        sums,
-        rows,
-        cols,
-        margin,
-        block,
-        float(limit),
-    )
+    maps, size = (heights, image, half_difference, sums), (rows, cols, margin, block)
+    engine.launch("ground", "judge", (cols, blocks), *maps, *size, float(limit))
     light, square, valid, lit, beyond = engine.download(sums).reshape(5, -1).sum(1, dtype=np.float64).tolist()
     mean = light / lit if lit and light > 0 else 1e-30
     return Estimate(math.sqrt(square / valid) / mean, beyond / valid, mean)

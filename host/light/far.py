@@ -337,22 +337,10 @@ class Marched:
         across_then_along = (self.nodes[1], 1), far.before, far.tile, last
         places = [pair[:: 1 if turned else -1] for pair in across_then_along]  # along first
         run = 1 if backend.nodes_per_item == 1 else cols  # on a CPU a row a work-item
-        backend.launch(
-            "far",
-            "interpolate",
-            (-(-cols // run), rows, count),
-            lines,
-            heights,
-            planes,
-            count,
-            math.prod(self.nodes),
-            far.spread,
-            rows,
-            cols,
-            margin,
-            *(n for pair in places for n in pair),
-            run,
-        )
+        dim = -(-cols // run), rows, count
+        size = count, math.prod(self.nodes), far.spread, rows, cols, margin
+        ends = *(n for pair in places for n in pair), run
+        backend.launch("far", "interpolate", dim, lines, heights, planes, *size, *ends)
         return planes
 
     def seen_from(
@@ -399,24 +387,9 @@ class Marched:
         ways = np.stack([np.cos(angles), np.sin(angles)], 1)
         # a ray along the border stays on the map
         ways = backend.table(np.where(np.abs(ways) < 1e-9, 0, ways).astype(np.float32))
-        backend.launch(
-            "far",
-            "march",
-            (-(-nodes // backend.lanes), count),
-            *self.tables,
-            ways,
-            own,
-            rows,
-            cols,
-            lines,
-            self.steps,
-            count,
-            nodes,
-            *far.shape,
-            self.highest,
-            far.drop,
-            int(far.periodic),
-        )
+        maps = *self.tables, ways, own, rows, cols, lines
+        size = self.steps, count, nodes, *far.shape, self.highest, far.drop, int(far.periodic)
+        backend.launch("far", "march", (-(-nodes // backend.lanes), count), *maps, *size)
         return lines
 
 

@@ -81,20 +81,10 @@ class Planes:
         scale: float,
         outside: float,
     ) -> None:
+        dim = self.across + 2 * self.margin, self.shape[0] + 2, count
+        size = count, *self._layout, int(self.sides == "periodic"), int(varies)
         self.engine.launch(
-            "interreflection",
-            "spread",
-            (self.across + 2 * self.margin, self.shape[0] + 2, count),
-            maps,
-            albedo,
-            planes,
-            count,
-            *self._layout,
-            int(self.sides == "periodic"),
-            int(varies),
-            scale,
-            outside,
-            group=GROUP,
+            "interreflection", "spread", dim, maps, albedo, planes, *size, scale, outside, group=GROUP
         )
 
     def _tables(self, this: Round) -> list[Array]:
@@ -106,22 +96,10 @@ class Planes:
     ) -> None:
         """Sums over the strips of receivers; ``grid``: their stride, phases and width."""
         stride, phases, width = grid
-        self.engine.launch(
-            "interreflection",
-            "gather",
-            (width // self.engine.lanes, phases, -(-self.shape[0] // stride)),
-            self.heights,
-            self.light,
-            *tables,
-            sums,
-            azimuths,
-            tables[1].shape[1],
-            *self._layout,
-            SIDES[self.sides],
-            *grid,
-            highest,
-            LIGHTS=self.lights,
-        )
+        dim = width // self.engine.lanes, phases, -(-self.shape[0] // stride)
+        maps = self.heights, self.light, *tables, sums
+        size = azimuths, tables[1].shape[1], *self._layout, SIDES[self.sides], *grid
+        self.engine.launch("interreflection", "gather", dim, *maps, *size, highest, LIGHTS=self.lights)
 
     def _gather_nodes(
         self,
@@ -132,22 +110,10 @@ class Planes:
         highest: float,
     ) -> None:
         """``known``: direct light, share of sky, and the irradiance that is found."""
-        self.engine.launch(
-            "interreflection",
-            "gather_nodes",
-            (-(-self.across // self.engine.lanes), 1 << self.shift, self.shape[0]),
-            self.heights,
-            self.light,
-            *tables,
-            *known,
-            azimuths,
-            tables[1].shape[1],
-            *self._layout,
-            SIDES[self.sides],
-            int(every),
-            highest,
-            LIGHTS=self.lights,
-        )
+        dim = -(-self.across // self.engine.lanes), 1 << self.shift, self.shape[0]
+        maps = self.heights, self.light, *tables, *known
+        size = azimuths, tables[1].shape[1], *self._layout, SIDES[self.sides], int(every)
+        self.engine.launch("interreflection", "gather_nodes", dim, *maps, *size, highest, LIGHTS=self.lights)
 
 
 class Strips(Planes):
@@ -217,30 +183,19 @@ class Glossy(Planes):
         return self._shown(np.ones(2, np.float32), 0.0, np.zeros((2, 2), np.float32), 1)
 
     def _shown(self, lobe: np.ndarray, rim: float, spots: np.ndarray, slices: int) -> np.ndarray:
-        self.engine.launch(
-            "interreflection",
-            "glossy",
-            (self.across, 1 << self.shift, self.shape[0]),
+        dim, samples = (self.across, 1 << self.shift, self.shape[0]), self.samples
+        maps = (
             self.heights,
             self.light,
             self.engine.table(lobe),
             self.engine.table(spots),
-            self.samples.tops,
+            samples.tops,
             self.image,
-            *self._layout,
-            SIDES[self.sides],
-            self.samples.shift,
-            self.samples.tops.shape[2],
-            slices,
-            len(spots) - slices,
-            len(lobe),
-            rim,
-            self.samples.highest,
-            self.reach,
-            lanes=1,
-            group=GROUP,
-            LIGHTS=self.lights,
         )
+        size = *self._layout, SIDES[self.sides], samples.shift, samples.tops.shape[2]
+        last = slices, len(spots) - slices, len(lobe), rim, samples.highest, self.reach
+        how: dict[str, Any] = dict(lanes=1, group=GROUP, LIGHTS=self.lights)
+        self.engine.launch("interreflection", "glossy", dim, *maps, *size, *last, **how)
         return self.engine.download(self.image).reshape(self.lights, *self.shape)
 
 
@@ -297,19 +252,8 @@ class Bounces(Planes):
             direct = [np.where(self.valid, light, 0) for light in direct]
         self.direct = _uploaded(engine, direct)
         self.total = engine.empty((self.lights * pixels,), np.float32)
-        engine.launch(
-            "interreflection",
-            "begin",
-            (pixels, self.lights),
-            self.direct,
-            self.albedo,
-            self.sky,
-            self.total,
-            self.lights,
-            pixels,
-            int(self.varies),
-            group=GROUP,
-        )
+        maps, size = (self.direct, self.albedo, self.sky, self.total), (self.lights, pixels, int(self.varies))
+        engine.launch("interreflection", "begin", (pixels, self.lights), *maps, *size, group=GROUP)
 
     def _send(self) -> None:
         """The radiance of the ground by the present irradiance."""
@@ -334,20 +278,9 @@ class Bounces(Planes):
             sums = engine.empty(((self.lights + 1) * lines * phases * width,), np.float32)
             grid = this.stride, phases, width
             self._gather_receivers(this.azimuths, tables, sums, grid, self.highest)
-            engine.launch(
-                "interreflection",
-                "fill",
-                (-(-cols // min(this.stride, 1 << self.shift)), rows),
-                self.heights,
-                sums,
-                self.direct,
-                self.sky,
-                self.total,
-                *common,
-                *grid,
-                group=GROUP,
-                LIGHTS=self.lights,
-            )
+            dim = -(-cols // min(this.stride, 1 << self.shift)), rows
+            given = self.heights, sums, self.direct, self.sky, self.total, *common, *grid
+            engine.launch("interreflection", "fill", dim, *given, group=GROUP, LIGHTS=self.lights)
         if this.stride == 1 or self.valid is not None:
             known = self.direct, self.sky, self.total
             self._gather_nodes(this.azimuths, tables, known, this.stride == 1, self.highest)
@@ -380,25 +313,10 @@ class Bounces(Planes):
         count = azimuths * len(samples)
         given = engine.upload(rays.reshape(-1, 4))
         partial = engine.empty(((self.lights + 2) * count,), np.float32)
-        engine.launch(
-            "interreflection",
-            "strips",
-            (count,),
-            self.heights,
-            self.light,
-            samples.tops,
-            given,
-            partial,
-            count,
-            *self._layout,
-            SIDES[self.sides],
-            samples.shift,
-            samples.tops.shape[2],
-            self.highest,
-            math.sqrt(2) * self.far,
-            lanes=1,
-            LIGHTS=self.lights,
-        )
+        maps = self.heights, self.light, samples.tops, given, partial
+        size = count, *self._layout, SIDES[self.sides], samples.shift, samples.tops.shape[2]
+        last = self.highest, math.sqrt(2) * self.far
+        engine.launch("interreflection", "strips", (count,), *maps, *size, *last, lanes=1, LIGHTS=self.lights)
         sums = engine.download(partial).reshape(self.lights + 2, azimuths, -1).mean(1, dtype=np.float64)
         return np.pi * sums[: self.lights], sums[-1]
 

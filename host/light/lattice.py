@@ -12,7 +12,7 @@ from ..backends.base import Backend
 from ..backends.resident import Resident
 from ..directions import Hemicube
 from ..samples import Samples
-from ..scene import Scene, is_scene
+from ..scene import Scene
 from ..sources.integrals import BrightPart, Integrals, even, level_of, without
 from . import propagation
 from .base import HostImage
@@ -39,7 +39,6 @@ def problem_of(
     engine: Backend, scene: Scene, source: sources.Source, cube: Hemicube, filled: bool
 ) -> Problem:
     """The arrays that a backend needs, from a scene and a source."""
-    is_scene(scene)
     there = scene.on(engine)
     geometry = sources.geometry(source, scene, there.step)
     return Problem(there, there.step, scene.sides, cube.steps, geometry, filled)
@@ -69,7 +68,9 @@ class Lattice(HostImage):
     def _image(self) -> np.ndarray:
         cube = Hemicube(self.units)
         problem = problem_of(self.engine, self.scene, self.source, cube, True)
-        return propagation.irradiance(self.engine, problem, moments_of(self.source, cube, self.sky))
+        moments = moments_of(self.source, cube, self.sky)
+        image: np.ndarray = propagation.light(self.engine, problem, moments)[0][0]
+        return image
 
     def refine(self) -> None:
         """The next larger hemicube: no direction is shared."""

@@ -77,7 +77,7 @@ class Problem(NamedTuple):
 
 
 class OnDevice(NamedTuple):
-    """A group of walks with its tables on the device; names as in Group."""
+    """A group of walks with its tables on the device; names and order as in Group."""
 
     host: Group
     pairs: Array
@@ -114,9 +114,9 @@ class Surface:
         planes = int(min(backend.memory // 3, backend.most_array_bytes) // self.room)
         most = min(max(1, planes), len(problem.steps))
         relief = problem.relief if relief is None else relief
-        groups = walk_groups(
-            problem.steps, problem.depth.shape, relief, problem.step, self.periodic, problem.filled, most
-        )
+        steps, followed = tuple(map(tuple, problem.steps.tolist())), relief if self.periodic else 0.0
+        how = problem.step, self.periodic, problem.filled, most
+        groups = walk_groups(steps, problem.depth.shape, followed, *how)
         _check_search(backend, problem, relief, groups)
         if problem.geometry.is_lamp:
             _check_rays(backend, problem, problem.deepest, 1, "visibility")
@@ -160,26 +160,14 @@ class Surface:
         points = [crossings_of(i, j, self.problem.filled)[0] for i, j in steps[:, 0, :2].tolist()]
         counts = np.array([len(p) for p in points])
         spans = np.stack([np.cumsum(counts) - counts, counts], 1).astype(np.int32)
-        return OnDevice(
-            group,
-            pairs=upload(group.pairs) if len(group.pairs) else None,
-            walks=upload(group.walks),
-            rise=upload(group.rise),
-            crossings=upload(group.crossings),
-            climbs=upload(group.climbs),
-            spans=upload(group.spans),
-            directions=upload(group.directions),
-            steps=upload(steps),
-            ways=upload(np.array([point for way in points for point in way], np.int32)),
-            way_spans=upload(spans),
-            lines=lines,
-        )
+        ways = np.array([point for way in points for point in way], np.int32)
+        tables = (upload(table) if len(table) else None for table in group)
+        return OnDevice._make([group, *tables, upload(steps), upload(ways), upload(spans), lines])
 
     def turn(self) -> None:
         """Update the turned map after a change of the depths on the device."""
-        self.backend.launch(
-            "scan", "turn_map", (self._blocks(),), self.maps, *self.problem.depth.shape, self.room
-        )
+        size = *self.problem.depth.shape, self.room
+        self.backend.launch("scan", "turn_map", (self._blocks(),), self.maps, *size)
 
     def _blocks(self) -> int:
         rows, cols = self.problem.depth.shape
@@ -216,38 +204,16 @@ class Surface:
         else:
             launch("scan", "scan", dim, *walks, *tail, BITS=group.bits)
         if group.pairs is not None:
-            by_fours = all(n % 4 == 0 for n in shape)
-            launch(
-                "scan",
-                "turn_planes_by_fours" if by_fours else "turn_planes",
-                (self._blocks(), len(group.host.pairs)),
-                self.planes,
-                group.pairs,
-                *shape,
-                self.room,
-            )
+            kernel = "turn_planes_by_fours" if all(n % 4 == 0 for n in shape) else "turn_planes"
+            dim = self._blocks(), len(group.host.pairs)
+            launch("scan", kernel, dim, self.planes, group.pairs, *shape, self.room)
         if problem.clips:
-            geometry = problem.geometry
-            launch(
-                "source",
-                "clip",
-                (problem.pixels,),
-                self.depth,
-                group.steps,
-                group.ways,
-                group.way_spans,
-                self.numbers,
-                self.flags,
-                self.planes,
-                *shape,
-                self.room,
-                len(geometry.flags),
-                geometry.kind,
-                SIDES[problem.sides],
-                float(problem.step),
-                group.n_walks,
-                BITS=group.bits,
-            )
+            rays = group.steps, group.ways, group.way_spans
+            source = len(problem.geometry.flags), problem.geometry.kind, SIDES[problem.sides]
+            maps, size = (self.numbers, self.flags, self.planes), (*shape, self.room)
+            last = float(problem.step), group.n_walks
+            given = self.depth, *rays, *maps, *size, *source, *last
+            launch("source", "clip", (problem.pixels,), *given, BITS=group.bits)
         return self.planes
 
 
@@ -289,27 +255,13 @@ class Light:
         self.table = None if lobe is None else backend.upload(lobe.table)
         self.whole = None if whole is None else backend.upload(whole.astype(np.float32))
 
-    @property
-    def sum(self) -> Array:
-        return self.sums[0]
-
     def run(self) -> None:
         surface, backend, problem = self.surface, self.surface.backend, self.surface.problem
         rows, cols = problem.depth.shape
         surface.turn()
-        backend.launch(
-            "luminance",
-            "gradient",
-            (cols, rows),
-            surface.depth,
-            self.slopes,
-            rows,
-            cols,
-            surface.room,
-            0.5 / problem.step,
-            1 / problem.step,
-            int(problem.sides == "periodic"),
-        )
+        steps = 0.5 / problem.step, 1 / problem.step, int(problem.sides == "periodic")
+        maps: tuple[Array, ...] = surface.depth, self.slopes
+        backend.launch("luminance", "gradient", (cols, rows), *maps, rows, cols, surface.room, *steps)
         last = len(surface.groups) - 1
 
         def launch(stem: str, kernel: str, *args: Any, **constants: Any) -> None:
@@ -319,49 +271,16 @@ class Light:
         lobe_size, rim = (0, 0.0) if self.lobe is None else (len(self.lobe.table), self.lobe.rim)
         for number, group in enumerate(surface.groups):
             planes, when = surface.scan(number), (int(number == 0), int(number == last))
+            pixels, walks = (problem.pixels, surface.room), (surface.room, group.n_walks)
             for table, total in zip(self.tables[number], self.sums):
-                launch(
-                    "luminance",
-                    "luminance",
-                    planes,
-                    self.slopes,
-                    table,
-                    total,
-                    problem.pixels,
-                    surface.room,
-                    group.n_walks,
-                    *when,
-                    BITS=group.bits,
-                )
+                maps = planes, self.slopes, table, total
+                launch("luminance", "luminance", *maps, *pixels, group.n_walks, *when, BITS=group.bits)
             for table, total in zip(self.weights[number], self.glosses):
-                launch(
-                    "specular",
-                    "specular",
-                    planes,
-                    self.slopes,
-                    table,
-                    self.table,
-                    total,
-                    surface.room,
-                    group.n_walks,
-                    lobe_size,
-                    *when,
-                    rim,
-                    BITS=group.bits,
-                )
+                maps = planes, self.slopes, table, self.table, total
+                launch("specular", "specular", *maps, *walks, lobe_size, *when, rim, BITS=group.bits)
+        size = surface.room, len(problem.steps), lobe_size
         for total in self.glosses if self.whole is not None else ():
-            launch(
-                "specular",
-                "bound",
-                self.slopes,
-                self.whole,
-                self.table,
-                total,
-                surface.room,
-                len(problem.steps),
-                lobe_size,
-                rim,
-            )
+            launch("specular", "bound", self.slopes, self.whole, self.table, total, *size, rim)
 
 
 class FieldByLayers:
@@ -413,49 +332,18 @@ class FieldByLayers:
         size = rows, cols, self.reach, self.words
         periodic = problem.sides == "periodic"
         if problem.clips:
-            launch(
-                "source",
-                "enter",
-                (self.width, self.height, self.layers + self.reach),
-                self.steps,
-                self.numbers,
-                self.flags,
-                self.field,
-                *size,
-                self.count,
-                problem.geometry.kind,
-                SIDES[problem.sides],
-            )
+            tables, kind = (self.steps, self.numbers, self.flags), problem.geometry.kind
+            dim = self.width, self.height, self.layers + self.reach
+            launch("source", "enter", dim, *tables, self.field, *size, self.count, kind, SIDES[problem.sides])
         else:
-            launch(
-                "propagate",
-                "reaches",
-                (self.lines, self.n_level),
-                self.depth,
-                self.ways,
-                self.lap,
-                self.levels,
-                rows,
-                cols,
-                self.lap_lines,
-                int(periodic),
-            )
+            tables, level = (self.depth, self.ways, self.lap), (self.lines, self.n_level)
+            numbers = rows, cols, self.lap_lines, int(periodic)
+            launch("propagate", "reaches", level, *tables, self.levels, *numbers)
         lanes = self.backend.lanes if cols >= self.backend.lanes else 1
+        dim, counts = (-(-cols // lanes), rows, self.words), (self.count, self.n_level)
+        maps = self.depth, self.levels, self.offsets, self.field
         for n in range(self.layers):
-            launch(
-                "propagate",
-                "propagate",
-                (-(-cols // lanes), rows, self.words),
-                self.depth,
-                self.levels,
-                self.offsets,
-                self.field,
-                *size,
-                self.count,
-                self.n_level,
-                n,
-                lanes=lanes,
-            )
+            launch("propagate", "propagate", dim, *maps, *size, *counts, n, lanes=lanes)
             if periodic:
                 launch("propagate", "wrap", (self.width, self.height, self.words), self.field, *size, n)
             if progress:
@@ -467,56 +355,22 @@ class FieldByLayers:
         return self.backend.download(self.field)[m:, :, m : m + rows, m : m + cols]
 
 
-class FieldOfLamp:
+def _field_of_lamp(backend: Backend, problem: Problem, layers: int) -> np.ndarray:
     """The visibility field of a lamp, node by node: layers pass on the light of a boundary only."""
-
-    def __init__(self, backend: Backend, problem: Problem, layers: int):
-        self.backend, self.problem, self.layers = backend, problem, layers
-        self.words = -(-len(problem.steps) // 32)
-        _check_rays(backend, problem._replace(filled=False), layers * problem.step, layers, "field")
-        reserve(
-            backend,
-            4 * self.words * layers * problem.pixels,
-            "The visibility field",
-            "Ask for fewer layers, a smaller hemicube or map.",
-        )
-        steps = _numbered(problem.steps)
-        nodes = np.array([crossings_of(i, j, False)[0][0] for i, j, _ in problem.steps.tolist()], np.int32)
-        spans = np.stack([np.arange(len(steps)), np.ones(len(steps))], 1).astype(np.int32)
-        self.tables = [
-            backend.upload(a)
-            for a in (
-                problem.host_depth,
-                steps,
-                nodes,
-                spans,
-                problem.geometry.numbers,
-                problem.geometry.flags,
-            )
-        ]
-        self.field = backend.empty((layers, self.words, *problem.depth.shape), np.uint32)
-
-    def run(self, progress: Progress | None = None) -> None:
-        problem = self.problem
-        self.backend.launch(
-            "source",
-            "beam",
-            (problem.pixels, self.layers),
-            *self.tables,
-            self.field,
-            *problem.depth.shape,
-            len(problem.geometry.flags),
-            problem.geometry.kind,
-            SIDES[problem.sides],
-            self.words,
-            len(problem.steps),
-            self.layers,
-        )
-        if progress:
-            progress(self.layers, self.layers)
-
-    def download(self) -> np.ndarray:
-        return self.backend.download(self.field)
+    words, geometry = -(-len(problem.steps) // 32), problem.geometry
+    _check_rays(backend, problem._replace(filled=False), layers * problem.step, layers, "field")
+    fix = "Ask for fewer layers, a smaller hemicube or map."
+    reserve(backend, 4 * words * layers * problem.pixels, "The visibility field", fix)
+    steps = _numbered(problem.steps)
+    nodes = np.array([crossings_of(i, j, False)[0][0] for i, j, _ in problem.steps.tolist()], np.int32)
+    spans = np.stack([np.arange(len(steps)), np.ones(len(steps))], 1).astype(np.int32)
+    tables = problem.host_depth, steps, nodes, spans, geometry.numbers, geometry.flags
+    there = [backend.upload(table) for table in tables]
+    field = backend.empty((layers, words, *problem.depth.shape), np.uint32)
+    source = len(geometry.flags), geometry.kind, SIDES[problem.sides]
+    size = *problem.depth.shape, *source, words, len(steps), layers
+    backend.launch("source", "beam", (problem.pixels, layers), *there, field, *size)
+    return backend.download(field)
 
 
 def visibility(backend: Backend, problem: Problem) -> np.ndarray:
@@ -526,29 +380,10 @@ def visibility(backend: Backend, problem: Problem) -> np.ndarray:
     surface = Surface(backend, problem)
     out = backend.empty((*problem.depth.shape, words), np.uint32, 0)
     for number, group in enumerate(surface.groups):
-        backend.launch(
-            "scan",
-            "pack",
-            (problem.pixels,),
-            surface.scan(number),
-            group.directions,
-            out,
-            problem.pixels,
-            surface.room,
-            words,
-            group.n_walks,
-            BITS=group.bits,
-        )
+        maps = surface.scan(number), group.directions, out
+        size = problem.pixels, surface.room, words, group.n_walks
+        backend.launch("scan", "pack", (problem.pixels,), *maps, *size, BITS=group.bits)
     return backend.download(out)
-
-
-def irradiance(backend: Backend, problem: Problem, moments: np.ndarray) -> np.ndarray:
-    """Irradiance (rows, cols) float32.
-
-    ``moments`` (D, 3): brightness times the integral of L dOmega over each cell.
-    """
-    image: np.ndarray = light(backend, problem, moments)[0][0]
-    return image
 
 
 def light(
@@ -601,26 +436,10 @@ def carve(
                 surface.find_laps(surface.depths())
         for number, (group, table) in enumerate(zip(surface.groups, tables)):
             planes = surface.scan(number)
-            backend.launch(
-                "carve",
-                "carve",
-                (pixels,),
-                planes,
-                table,
-                light,
-                *bounds,
-                side,
-                surface.depth,
-                active,
-                pixels,
-                surface.room,
-                group.n_walks,
-                int(number == 0),
-                int(number == len(tables) - 1),
-                layer,
-                int(by_sign),
-                BITS=group.bits,
-            )
+            maps = planes, table, light, *bounds, side, surface.depth, active
+            when = int(number == 0), int(number == len(tables) - 1), layer, int(by_sign)
+            size = pixels, surface.room, group.n_walks
+            backend.launch("carve", "carve", (pixels,), *maps, *size, *when, BITS=group.bits)
         if progress:
             progress(layer + 1, layers)
         if not backend.download(active)[0]:
@@ -630,13 +449,14 @@ def carve(
 
 def field(backend: Backend, problem: Problem, layers: int, progress: Progress | None = None) -> np.ndarray:
     """The visibility field (layers, words, rows, cols) uint32, bits packed; depths in layers (step 1)."""
-    field = (
-        FieldOfLamp(backend, problem, layers)
-        if problem.geometry.is_lamp
-        else FieldByLayers(backend, problem, layers)
-    )
-    field.run(progress)
-    return field.download()
+    if not problem.geometry.is_lamp:
+        field = FieldByLayers(backend, problem, layers)
+        field.run(progress)
+        return field.download()
+    made = _field_of_lamp(backend, problem, layers)
+    if progress:
+        progress(layers, layers)
+    return made
 
 
 def _check_search(backend: Backend, problem: Problem, relief: float, groups: tuple[Group, ...]) -> None:

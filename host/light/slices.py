@@ -244,80 +244,29 @@ class Slices:
         self.coarsened = True
         rows, cols = self.shape
         for level in range(1, self.levels + 1):
-            self.backend.launch(
-                "slices",
-                "coarser",
-                (self.width >> level, ((rows - 1) >> level) + 1),
-                self.heights,
-                self.tops,
-                rows,
-                cols,
-                self.width,
-                level,
-            )
+            dim = self.width >> level, ((rows - 1) >> level) + 1
+            size = rows, cols, self.width, level
+            self.backend.launch("slices", "coarser", dim, self.heights, self.tops, *size)
 
     def run(self) -> None:
         rows, cols = self.shape
-        launch = self.backend.launch
         self.coarsen()
         n_lobe, rim = (len(self.lobe.table), self.lobe.rim) if self.lobe is not None else (0, 1.0)
         lit = self.sky, self.points, self.table
         size = rows, cols, self.width, self.levels, self.least, self.most, self.side, self.n_points, n_lobe
-        table = self.turns, self.knots, int(self.walls), rim, self.highest
+        chords, last = (self.turns, self.knots), (int(self.walls), rim, self.highest)
+        given: tuple[Any, ...]
+        tables: tuple[Array, ...] = self.quadrature, *lit, self.chords
         if isinstance(self.solid, Dome):
-            launch(
-                "slices",
-                "gloss",
-                (cols, rows),
-                self.heights,
-                self.tops,
-                self.quadrature,
-                *lit,
-                self.image,
-                *size,
-                int(self.walls),
-                rim,
-                self.highest,
-                min(self.solid.reach / self.step, -float(NONE)),
-                self.factor,
-                squares=True,
-            )
+            reach = min(self.solid.reach / self.step, -float(NONE))
+            kernel, given = "gloss", (self.quadrature, *lit, self.image, *size, *last, reach)
         elif isinstance(self.solid, Ball):
-            launch(
-                "slices",
-                "ball",
-                (cols, rows),
-                self.heights,
-                self.tops,
-                self.quadrature,
-                *lit,
-                self.chords,
-                self.image,
-                self.alternating,
-                *size,
-                *table,
-                *map(float, self.center),
-                float(self.radius),
-                self.factor,
-                squares=True,
-            )
+            images, ball = (self.image, self.alternating), (*map(float, self.center), float(self.radius))
+            kernel, given = "ball", (*tables, *images, *size, *chords, *last, *ball)
         else:
-            launch(
-                "slices",
-                "quad",
-                (cols, rows),
-                self.heights,
-                self.tops,
-                self.corners,
-                self.quadrature,
-                *lit,
-                self.chords,
-                self.image,
-                *size,
-                *table,
-                self.factor,
-                squares=True,
-            )
+            kernel, given = "quad", (self.corners, *tables, self.image, *size, *chords, *last)
+        maps, dim = (self.heights, self.tops), (cols, rows)
+        self.backend.launch("slices", kernel, dim, *maps, *given, self.factor, squares=True)
 
     def rays(self, ways: np.ndarray) -> np.ndarray:
         """Whether the ground occludes no part of rays: (rows, cols, count) bool.
@@ -330,23 +279,9 @@ class Slices:
         lanes = self.backend.lanes if count % self.backend.lanes == 0 else 1
         # named, so that they exist until the download
         given, seen = self.backend.upload(ways), self.backend.empty((rows, cols, count), np.float32)
-        self.backend.launch(
-            "slices",
-            "rays",
-            (cols, rows),
-            self.heights,
-            self.tops,
-            given,
-            seen,
-            rows,
-            cols,
-            self.width,
-            self.levels,
-            count,
-            self.highest,
-            lanes=lanes,
-            squares=True,
-        )
+        size = rows, cols, self.width, self.levels, count, self.highest
+        maps = self.heights, self.tops, given, seen
+        self.backend.launch("slices", "rays", (cols, rows), *maps, *size, lanes=lanes, squares=True)
         visible: np.ndarray = self.backend.download(seen) > 0
         return visible
 
@@ -380,32 +315,11 @@ class Slices:
         if to_other is not None:
             sectors[5, :used] = to_other
         given = [self.backend.upload(array) for array in (sectors, tables)]  # held until the kernel is done
-        x0, x1, y0, y1 = (-ENDLESS, ENDLESS) * 2 if window is None else map(float, window)
-        self.backend.launch(
-            "slices",
-            "sectors",
-            self.there.shape[::-1],
-            self.heights,
-            self.tops,
-            *given,
-            self.image,
-            self.image if other is None else other,
-            rows,
-            cols,
-            self.width,
-            self.levels,
-            count,
-            knots,
-            int(self.dark),
-            *self.there.shape,
-            self.highest,
-            self.farthest,
-            x0,
-            x1,
-            y0,
-            y1,
-            squares=True,
-        )
+        ends = (-ENDLESS, ENDLESS) * 2 if window is None else tuple(map(float, window))
+        maps = self.heights, self.tops, *given, self.image, self.image if other is None else other
+        size = rows, cols, self.width, self.levels, count, knots, int(self.dark), *self.there.shape
+        last, dim = (self.highest, self.farthest, *ends), self.there.shape[::-1]
+        self.backend.launch("slices", "sectors", dim, *maps, *size, *last, squares=True)
         self.backend.finish()
 
     def download(self) -> np.ndarray:

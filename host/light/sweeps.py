@@ -7,7 +7,7 @@ import functools
 import itertools
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -157,23 +157,12 @@ class Sweeps:
         """
         rows, cols = self.shape
         given = self.backend.table(table)
-        self.backend.launch(
-            "ground",
-            "correct",
-            (cols, rows),
-            self.tilts[0],
-            given,
-            image,
-            rows,
-            cols,
-            self.margin,
-            self.room,
-            len(table),
-        )
+        maps, size = (self.tilts[0], given, image), (rows, cols, self.margin, self.room, len(table))
+        self.backend.launch("ground", "correct", (cols, rows), *maps, *size)
         self.backend.finish()  # the table may be freed
 
     def light(self, total: Array, turned: Array, *images: Array) -> None:
-        """Irradiance float32 [brightness x sr] of every sum into a device array, or of one into ``total``.
+        """Irradiance float32 [brightness x sr] of every sum into a device array.
 
         ``total`` and ``turned`` (sums, rows x cols) int32 hold the sums of the two maps.
         """
@@ -185,29 +174,23 @@ class Sweeps:
             self._light_of(self.halves[1], turned)
         self._light_of(self.halves[0], total)
         backend.join()
-        self._gather(total, turned, *images or (total,))
+        self._gather(total, turned, *images)
 
     def _gather(self, total: Array, turned: Array, *images: Array) -> None:
         rows, cols = self.shape
         for n, (image, scale) in enumerate(zip(images, self.scales)):
-            self.backend.launch(
-                "ground", "gather", (cols, rows), total, turned, image, rows, cols, n, 1 / scale
-            )
+            size = rows, cols, n, 1 / scale
+            self.backend.launch("ground", "gather", (cols, rows), total, turned, image, *size)
 
     def _light_of(self, half: Half, sums: Array) -> None:
         backend, around = self.backend, 2 * self.margin
         if not self.level and not self.tilted[half.turned]:
-            backend.launch(
-                "ground",
-                "tilt",
+            dim, size = (
                 (half.cols + around, half.rows + around),
-                half.heights,
-                half.tilts,
-                half.rows,
-                half.cols,
-                self.margin,
-                self.room,
-                int(self.sides == "periodic"),
+                (half.rows, half.cols, self.margin, self.room),
+            )
+            backend.launch(
+                "ground", "tilt", dim, half.heights, half.tilts, *size, int(self.sides == "periodic")
             )
         self.tilted[half.turned] = self.kept
         scratch = None  # the next azimuths' slopes where these are: the launches come one after another
@@ -231,11 +214,9 @@ class Sweeps:
     def irradiance(self) -> np.ndarray:
         """Irradiance (rows, cols) float32 [brightness x sr]; arrays are released, and it is the last call."""
         backend, size = self.backend, (1, math.prod(self.shape))
-        turned = backend.empty(size, np.int32, 0)
         if backend.lines > 1 and self.far is None:
-            total = backend.empty(size, np.int32, 0)
-            self.light(total, turned)
-            return backend.download(total).view(np.float32).reshape(self.shape)
+            return np.asarray(self.image())
+        turned = backend.empty(size, np.int32, 0)
         self._turn()
         self._light_of(self.halves.pop(), turned)
         backend.finish()
@@ -328,39 +309,13 @@ class Sweeps:
         )
         lines = backend.lanes * backend.strips * backend.lines
         groups = -(-(half.cols + overhang) // lines)
-        backend.launch(
-            "horizon",
-            "sweep",
-            (backend.lines, count, groups),
-            half.heights,
-            half.tilts,
-            *half.tables,
-            half.table,
-            slopes,
-            sums,
-            *rising,
-            *falling,
-            first,
-            backend.lines,
-            half.rows,
-            half.cols,
-            self.margin,
-            self.room,
-            self.knots,
-            bits,
-            self.lowest,
-            rising_scale,
-            falling_scale,
-            int(known),
-            int(backward),
-            *half.asked,
-            group=backend.lines,
-            NEAR=self.near,
-            SIDES=SIDES[self.sides],
-            WHAT=what,
-            FALLS=int(falls),
-            BLOCKS=int(half.windows[first] < ENDLESS_WINDOW),
-        )
+        maps = half.heights, half.tilts, *half.tables, half.table, slopes, sums, *rising, *falling
+        size = first, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits
+        scales = self.lowest, rising_scale, falling_scale
+        named: dict[str, Any] = dict(NEAR=self.near, SIDES=SIDES[self.sides], WHAT=what, FALLS=int(falls))
+        named["BLOCKS"] = int(half.windows[first] < ENDLESS_WINDOW)
+        dim, given = (backend.lines, count, groups), (*maps, *size, *scales, int(known), int(backward))
+        backend.launch("horizon", "sweep", dim, *given, *half.asked, group=backend.lines, **named)
 
     def _half(self, turned: bool, table: np.ndarray | None) -> Half:
         keep = self.backend.table

@@ -41,25 +41,8 @@ class Group(NamedTuple):
         return int(self.directions.shape[1])
 
 
-def walk_groups(
-    steps: np.ndarray,
-    shape: tuple[int, int],
-    relief: float,
-    step: float,
-    periodic: bool,
-    filled: bool,
-    most: int,
-) -> tuple[Group, ...]:
-    """The directions ``steps`` (D, 3) over a map of ``shape``, at most ``most`` walks per group.
-
-    ``relief`` and ``step``, the spacing, in the unit of depth.
-    """
-    directions = tuple(map(tuple, steps.tolist()))
-    return _walk_groups(directions, shape, relief if periodic else 0.0, step, periodic, filled, most)
-
-
 @functools.lru_cache(16)
-def _walk_groups(
+def walk_groups(
     steps: tuple[tuple[int, int, int], ...],
     shape: tuple[int, int],
     relief: float,
@@ -68,6 +51,10 @@ def _walk_groups(
     filled: bool,
     most: int,
 ) -> tuple[Group, ...]:
+    """The directions ``steps`` (i, j, -k) over a map of ``shape``, at most ``most`` walks per group.
+
+    ``relief``, 0 unless the map repeats, and ``step``, the spacing, in the unit of depth.
+    """
     ways: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for d, (i, j, up) in enumerate(steps):
         ways.setdefault((i, j), []).append((-up, d))
