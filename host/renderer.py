@@ -272,7 +272,7 @@ class Renderer:
         image = slices.download()
         if len(suns):
             image += shading.suns(scene, engine, lobe, suns, flux, max_distance)
-        return image * np.float32(_norm(scene))
+        return image * np.float32(_phong(scene).norm)
 
     def _solid_lobe(self, grey: sources.Source, fineness: float = 1) -> np.ndarray:
         """A lamp or window reflected by a lobe: (rows, cols) float32; a warning if slices are too coarse."""
@@ -286,7 +286,7 @@ class Renderer:
         if slices is None:
             return np.zeros(scene.shape, np.float32)
         slices.run()
-        image = slices.download() * np.float32(_norm(scene) * scale)
+        image = slices.download() * np.float32(_phong(scene).norm * scale)
         warnings = _narrow_lobe(lobe, slices.coarse * lobe.spread, "a smaller lamp, or Mirror")
         if warnings:
             self.warnings.extend(text for text in warnings if text not in self.warnings)
@@ -317,7 +317,7 @@ class Renderer:
         lobe = shading.lobe_of(scene, 1e-6) if options.quantity == "radiance" else None
         shares = whole = None
         if lobe:
-            angles = cube.solid_angles * _norm(scene)
+            angles = cube.solid_angles * _phong(scene).norm
             shares, whole = (
                 np.concatenate([np.broadcast_to(ways, (*share.shape, 3)), share[..., None]], -1)
                 for ways, share in ((L, brightness * angles), (cube.directions, angles))
@@ -462,8 +462,8 @@ def _with_ground(
         shown = np.where(unlit, ground.in_mirrors(), np.float32(0))
     else:
         assert lobe is not None, "a surface that shows ground is a mirror or has a lobe"
-        error = LOBE_SHARE * float(options.tolerance) / _most_specular(scene)
-        shown = ground.within(lobe, error) * np.float32(_norm(scene))
+        error = LOBE_SHARE * float(options.tolerance) / float(np.max(_phong(scene).specular))
+        shown = ground.within(lobe, error) * np.float32(_phong(scene).norm)
     count = max(len(shine), len(shown))
     return [shine[n % len(shine)] + shown[n % len(shown)] for n in range(count)]
 
@@ -643,10 +643,9 @@ def _refined_lobes(
 ) -> list[np.ndarray]:
     """A source in a lobe: (rows, cols) float32 of every colour, each by as many slices as it takes."""
     scene, factors = call.scene, numbers_of(call.greys)
-    assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
     matte = np.array([np.asarray(light)[scene.valid].mean() / np.pi for light in irradiances] or [0.0])
     matte, specular = np.broadcast_arrays(
-        matte * _by_colour(scene.albedo, np.mean), _by_colour(scene.reflectance.specular, np.max)
+        matte * _by_colour(scene.albedo, np.mean), _by_colour(_phong(scene).specular, np.max)
     )
     if factors is not None or len(call.greys) == 1:  # one image in all colours
         bright = specular * np.array(factors or [1.0])
@@ -695,14 +694,9 @@ def _by_colour(values: float | np.ndarray, of: Callable[..., Any]) -> np.ndarray
     return np.atleast_1d(of(np.reshape(values, (-1, 3)), axis=0) if in_colour else of(values))
 
 
-def _norm(scene: Scene) -> float:
+def _phong(scene: Scene) -> Phong:
     assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
-    return scene.reflectance.norm
-
-
-def _most_specular(scene: Scene) -> float:
-    assert isinstance(scene.reflectance, Phong), "Phong alone has a lobe"
-    return float(np.max(scene.reflectance.specular))
+    return scene.reflectance
 
 
 def _narrow_lobe(lobe: Lobe, apart: float, fix: str) -> list[str]:

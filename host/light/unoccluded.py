@@ -141,15 +141,6 @@ def _of_normals(gx: np.ndarray, gy: np.ndarray, table: np.ndarray, light: Integr
     return image
 
 
-def above_plane(gx: Values, gy: Values, x: Values, y: Values, z: Values, sine: Values) -> np.ndarray:
-    """Whether the tangent plane of a surface of slope (gx, gy) hides no part of a disc.
-
-    The disc is round the direction (x, y, z), z upwards, and ``sine`` is that of its angular radius.
-    """
-    clear: np.ndarray = gx * x + gy * y + z >= sine * np.sqrt(1 + gx * gx + gy * gy)
-    return clear
-
-
 def faces(scene: Scene, places: np.ndarray, radius: float, rows: slice = slice(None)) -> bool:
     """Whether all ground of some ``rows`` faces balls of ``radius`` round ``places`` (n, 3) [spacings].
 

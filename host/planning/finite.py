@@ -171,10 +171,13 @@ class FinitePlanner(UnitsPlanner):
             if rays_per_node == RAY_COUNTS[-1]:
                 self._judge_by_rays(4 * RAY_COUNTS[-1])
             errors = self.samples.errors(self._unoccluded(rays_per_node), self.exact)
-            if not self.fits(errors) or (
-                varies and rays_per_node == 1 and not _looks_small(self.scene, self.middle, self.radius)
-            ):
+            if not self.fits(errors):
                 continue
+            # one ray suffices where the source looks small from every node; else two numbers of rays tell the
+            # error at all nodes, since the samples may lie beside the light
+            if varies and rays_per_node == 1:
+                if self.radius > ONE_RAY_RADIUS * _nearest(self.scene, self.middle, self.middle):
+                    continue
             if not (varies or self._faces_source()):
                 break
             self.expected, self.rays_per_node = errors, rays_per_node
@@ -190,7 +193,8 @@ class FinitePlanner(UnitsPlanner):
         """Whether all ground faces all of the source: the samples' tangent planes first, then every node."""
         at, radius = self.samples, self.radius if isinstance(self.solid, Ball) else 0.0
         x, y, z = self.middle[:, None] - np.stack([at.x, at.y, at.own])
-        if self.scene.mask is not None or not unoccluded.above_plane(at.gx, at.gy, x, y, z, radius).all():
+        faced = at.gx * x + at.gy * y + z >= radius * at.length  # tangent planes hide no part of it
+        if self.scene.mask is not None or not faced.all():
             return False
         places = np.array([self.middle] if isinstance(self.solid, Ball) else self.solid.corners)
         return all(by_bands(partial(unoccluded.faces, self.scene, places, radius), self.scene.shape))
@@ -239,14 +243,6 @@ def _within_walls(scene: Scene, solid: Ball | Quad, middle: np.ndarray, radius: 
     corners = [middle - radius, middle + radius] if isinstance(solid, Ball) else solid.corners
     low, high = np.min(corners, 0)[:2], np.max(corners, 0)[:2]
     return bool((low >= -0.5).all() and (high <= np.array(scene.shape[::-1]) - 0.5).all())
-
-
-def _looks_small(scene: Scene, middle: np.ndarray, radius: float) -> bool:
-    """Whether one ray to a source suffices from every node.
-
-    Else two numbers of rays tell the error at all nodes, since the samples may lie beside the light.
-    """
-    return radius <= ONE_RAY_RADIUS * _nearest(scene, middle, middle)
 
 
 class SlicePlanner(FinitePlanner):
