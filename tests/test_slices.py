@@ -662,7 +662,7 @@ def sunny(radius, height=60.0):
 def by_suns(backend, depth, launches, window=None, sides="open"):
     """Irradiance by sectors, (ways, table) of each launch."""
     run = slices.Slices(resident_map(backend, depth), sides, slices.Dome())
-    run.clear()
+    run.backend.fill(run.image, 0)
     for ways, table in launches:
         run.sectors(ways, table, window)
     return run.download()
@@ -688,7 +688,7 @@ def test_a_sun_over_a_map_that_repeats(backend, azimuth, elevation, scale):
     sky = sl.Sky(lambda L: 1 + 60.0 * (L @ axis >= np.cos(np.radians(2))))
     ways, table = Integrals(sky).bright_parts[0].sectors(8)
     run = slices.Slices(resident_map(backend, depth), "periodic", slices.Dome(), copied=COPIED)
-    run.clear()
+    run.backend.fill(run.image, 0)
     run.sectors(ways, table)
     middle = by_suns(backend, np.tile(depth, (13, 13)), [(ways, table)])[144:168, 168:196]
     off = 1e-5 if elevation > 2 else 1e-2  # rays end at the border of the many copies, 150 spacings away
@@ -712,7 +712,7 @@ def test_sectors_of_two_images_at_once(backend):
     halves = [sun.sectors(3), sun.sectors(3, True)]
     run = slices.Slices(resident_map(backend, depth), "open", slices.Dome())
     other = run.backend.empty(depth.shape, np.float32, 0)
-    run.clear()
+    run.backend.fill(run.image, 0)
     ways, tables = zip(*halves)
     of_other = np.repeat([0, 1], [len(table) for table in tables])
     run.sectors(np.concatenate(ways, 1), np.concatenate(tables), other=other, to_other=of_other)

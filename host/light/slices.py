@@ -285,10 +285,6 @@ class Slices:
         visible: np.ndarray = self.backend.download(seen) > 0
         return visible
 
-    def clear(self) -> None:
-        """Set the light to 0, before the first :meth:`sectors`."""
-        self.backend.fill(self.image, 0)
-
     def sectors(
         self,
         ways: np.ndarray,
@@ -297,7 +293,7 @@ class Slices:
         other: Array = None,
         to_other: np.ndarray | None = None,
     ) -> None:
-        """Add the light of a sky's bright spots, above exact horizons; ``clear`` comes before the first.
+        """Add the light of a sky's bright spots, above exact horizons; the image holds light already.
 
         ``ways`` (5, K): azimuth's cosine and sine, width [rad], diamond angle of elevation at which the
         sector's table begins, and knots per unit of it. ``table`` (K, knots, 4): integrals of B cos^2 and B
