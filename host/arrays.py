@@ -25,7 +25,6 @@ class Labels(NamedTuple):
 
     dims: tuple[Hashable, ...]
     coords: dict[Hashable, Any]
-    name: Hashable
     attrs: dict[Any, Any]
     grid_mapping: Hashable = None  # the coordinate that holds the coordinate reference system, where told
 
@@ -190,7 +189,7 @@ def labels_of(values: Any) -> Labels | None:
         with contextlib.suppress(OverflowError, TypeError, ValueError):
             if (no_data := values.rio.nodata) is not None:
                 attributes["nodata"] = no_data
-    return Labels(values.dims, coords, values.name, attributes, grid_mapping)
+    return Labels(values.dims, coords, attributes, grid_mapping)
 
 
 def no_data_of(labels: Labels | None) -> list[float]:

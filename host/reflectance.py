@@ -190,8 +190,8 @@ class BRDF:
                 f"real numbers of shape {incoming.shape[:-1]}",
             )
         values = np.where(_above(incoming, outgoing), values, 0.0)
-        if not (values >= 0).all() or not np.isfinite(values).all():
-            wrong = ~((values >= 0) & np.isfinite(values))
+        wrong = ~((values >= 0) & np.isfinite(values))
+        if wrong.any():
             raise bad(
                 "BRDF function",
                 f"{values[wrong][0]} for {incoming[wrong][0].round(3).tolist()} to"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -98,7 +97,8 @@ def visibility_field(
     if layers is None:
         layers = int(depth[scene.valid].max()) + 1
     layers = whole_number(layers, "layers", 1)
-    needed = field_bytes(scene, cube, layers)
+    rim = 2 * cube.reach  # that propagation needs
+    needed = 4 * cube.words * (layers + cube.reach) * (scene.shape[0] + rim) * (scene.shape[1] + rim)
     if max_bytes is not None and needed > (most := positive_number(max_bytes, "max_bytes")):
         raise CapacityError(
             f"The visibility field of {layers} layers x {scene.shape[0]} rows x {scene.shape[1]} cols x"
@@ -110,12 +110,6 @@ def visibility_field(
     with engine.lock, within(max_seconds, "visibility_field", engine):
         words = propagation.field(engine, problem, layers, progress)
     return VisibilityField(words, cube, scene, source, depth, engine.name)
-
-
-def field_bytes(scene: Scene, hemicube: Hemicube, layers: int) -> int:
-    """Bytes of a visibility field's bits: 4 per word, node and layer, with the rim that propagation needs."""
-    rim = 2 * hemicube.reach
-    return 4 * hemicube.words * (layers + hemicube.reach) * (scene.shape[0] + rim) * (scene.shape[1] + rim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +134,7 @@ class VisibilityField:
     source: sources.Source
     depth: np.ndarray
     backend: str
+    _images: dict[str, np.ndarray] = field(default_factory=dict, init=False, repr=False)  # by backend
 
     @property
     def bits(self) -> np.ndarray:
@@ -183,10 +178,6 @@ class VisibilityField:
         for d, angle in enumerate(self.hemicube.solid_angles):
             total += (self.words[:, d // 32] >> np.uint32(d % 32) & np.uint32(1)) * np.float32(angle)
         return total
-
-    @cached_property
-    def _images(self) -> dict[str, np.ndarray]:
-        return {}
 
     def view(self, point: tuple[int, int, int], backend: str = "auto") -> View:
         """The view from the point (x, y, layer) in every direction of the whole cube, up and down.

@@ -191,7 +191,9 @@ INGREDIENTS = {
     "creases": Ingredient([without_doubt(confidence.by_creases)], CONFIDENCE),
     "second refit": Ingredient([(finer_model, "REFITS", 1)], CONFIDENCE),
     "even albedo": Ingredient(
-        [(confidence, "even_albedo_depth", lambda pyramid, level, z: z)], CONFIDENCE, has_no_albedo
+        [(confidence, "by_even_albedo", lambda pyramid, level, z: np.zeros(z.shape))],
+        CONFIDENCE,
+        has_no_albedo,
     ),
     "poor fit": Ingredient([(confidence, "MISFIT_WEIGHT", 0.0)], CONFIDENCE),
     "other answers": Ingredient([without_doubt(confidence.by_other_answers)], CONFIDENCE, is_uneven),

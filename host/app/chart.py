@@ -120,18 +120,16 @@ def scene_of(kind: str, size: int) -> tuple[Scene, sources.Source]:
     return Scene(z - z.min(), albedo=BRIGHT_ALBEDO), source
 
 
-def options_of(method: str, units: int) -> Row:
-    """The arguments of render() for a method of the chart."""
-    if method in ("stride", "filled"):
-        return {"method": "lattice", "hemicube": units, "filled": method == "filled"}
-    return {"method": "unoccluded"} if method == "unoccluded" else {"method": "horizon", "azimuths": units}
-
-
 def settings(kind: str) -> Iterator[tuple[str, float, Row]]:
     """(method, units, arguments of render()) of every point of a class; coarse before fine."""
     methods = {"lamp": LAMP_METHODS, "window": LAMP_METHODS, "sun": SUN_METHODS}.get(kind, SKY_METHODS)
     for method, units in methods:
-        yield method, units, options_of(method, units)
+        options: Row = {"method": "horizon", "azimuths": units}
+        if method in ("stride", "filled"):
+            options = {"method": "lattice", "hemicube": units, "filled": method == "filled"}
+        elif method == "unoccluded":
+            options = {"method": method}
+        yield method, units, options
     more: Row = {"interreflection": True} if kind == "albedo" else {}
     for tolerance in TOLERANCES:
         yield "plan", tolerance, {"tolerance": tolerance, **more}

@@ -303,8 +303,9 @@ def recover(
     a .png holds depth in whole layers, 16 bit.
     """
     out = output.needed((file, source), target, out)
-    output.check(out, as_json, figure)
-    _check_std(std, method, as_json)
+    output.check(out, as_json, figure, std)
+    if std is not None and method != "robust":
+        raise typer.BadParameter("it goes with --method robust", param_hint="--std")
     picture = _checked_picture(picture, out, method)
     output.check_apart((file, source), out, std, picture, figure)
     image, raster = parsing.radiance(file, white, resample)
@@ -354,13 +355,6 @@ def _checked_picture(given: str | None, out: str, method: str) -> str | None:
         raise typer.BadParameter(f"got {picture!r}; allowed: a .png", param_hint="--picture")
     io.writable(picture)
     return picture
-
-
-def _check_std(std: str | None, method: str, as_json: bool) -> None:
-    if std is not None:
-        output.check(std, as_json)
-        if method != "robust":
-            raise typer.BadParameter("it goes with --method robust", param_hint="--std")
 
 
 @app.command(epilog=epilog("horizon"))

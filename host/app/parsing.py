@@ -33,10 +33,7 @@ def scene(
     """(scene, the raster that the file is if it is a GeoTIFF)."""
     raster = raster_of(file, resample)
     height = raster is not None if height is None else height
-    if raster is None:
-        values = values_of(file, height, spacing)
-    else:
-        values = raster.values
+    values = values_of(file, height, spacing) if raster is None else raster.values
     mask = None if raster is None or raster.mask.all() else raster.mask
     mask = without(nodata, values, mask)
     if raster is not None and not height:

@@ -7,7 +7,6 @@ it with :func:`save`, or ``figure.savefig``.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,7 +165,7 @@ def horizon(
         raise bad("plot.horizon: source", type(source).__name__, "a Sky")
     sun = None
     if isinstance(source.brightness, CieSky) and source.brightness.direct:
-        sun, source = source.brightness.sun, sources.Sky(replace(source.brightness, direct=0.0))
+        sun, source = source.brightness.sun, sources.Sky(source.brightness.without_disc())
     turn = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths  # from east towards south
     on_map = angles_on(scene.axes, turn)
     elevation = np.degrees(np.arctan(horizon_at(scene, row, col, on_map, backend, max_distance)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import math
 import os
 import threading
@@ -26,8 +27,8 @@ from ..constants import MOST_PIXELS, PIXEL_PADDING
 from ..errors import CapacityError, OutOfTimeError
 from ..locks import give_lock
 
-# values of ``single_item_nodes`` and ``nodes_per_item`` on a CPU, and of ``iterations_ahead`` on a GPU
-CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, GPU_ITERATIONS_AHEAD = 8192, 64, 8
+# single_item_nodes, nodes_per_item and iterations_ahead of a Backend
+CPU_STEPS, GPU_STEPS = (8192, 64, 1), (0, 1, 8)
 DEFAULT_GROUP = 256  # work-items of a group of any kernel but scan, at most
 
 # tables that a backend keeps, and the bytes of one at most; chosen: together they stay below 32 MiB, and a
@@ -94,9 +95,9 @@ def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(method)
     def locked(self: Backend, *args: Any, **more: Any) -> Any:
         with self.lock:
-            limit: Limit | None = getattr(_call, "limit", None)
-            if limit is not None:
-                limit.check()
+            check: Callable[[], None] | None = getattr(_call, "check", None)
+            if check is not None:
+                check()
             return method(self, *args, **more)
 
     return locked
@@ -105,27 +106,10 @@ def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
 _call = threading.local()  # state of the call that this thread is in
 
 
-class Limit:
-    """The seconds that a call may take, without those of compiling; see :func:`within`."""
-
-    def __init__(self, seconds: float, what: str, engine: Backend):
-        self.seconds, self.what, self.engine = seconds, what, engine
-        self.spent, self.launches = stopwatch(engine), 0
-
-    def check(self) -> None:
-        """OutOfTimeError if they are over."""
-        self.launches += 1
-        if self.spent() > self.seconds:
-            raise OutOfTimeError(
-                f"{self.what}: max_seconds={self.seconds:g} are over after {self.launches - 1} steps on"
-                f" {self.engine.name}. Give more, a larger tolerance, or fewer azimuths, directions or nodes."
-            )
-
-
 @contextlib.contextmanager
 def within(seconds: float | None, what: str, engine: Backend) -> Iterator[None]:
     """Within this context, transfers and launches of this thread raise OutOfTimeError once ``seconds`` are
-    over.
+    over, without those of compiling.
 
     The clock is read before each of them, so a call ends later by its longest one. The result does not depend
     on it. None: no limit but that of a call around this one.
@@ -133,12 +117,21 @@ def within(seconds: float | None, what: str, engine: Backend) -> Iterator[None]:
     if seconds is None:
         yield
         return
-    before = getattr(_call, "limit", None)
-    _call.limit = Limit(positive_number(seconds, "max_seconds"), what, engine)
+    most, spent, steps = positive_number(seconds, "max_seconds"), stopwatch(engine), itertools.count()
+
+    def check() -> None:
+        step = next(steps)
+        if spent() > most:
+            raise OutOfTimeError(
+                f"{what}: max_seconds={most:g} are over after {step} steps on {engine.name}. Give more, a"
+                " larger tolerance, or fewer azimuths, directions or nodes."
+            )
+
+    before, _call.check = getattr(_call, "check", None), check
     try:
         yield
     finally:
-        _call.limit = before
+        _call.check = before
 
 
 @dataclass(frozen=True)

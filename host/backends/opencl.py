@@ -22,10 +22,9 @@ from ..constants import GPU_LINES, GPU_PIXELS, SQUARE
 from ..errors import BackendError
 from . import staging
 from .base import (
-    CPU_NODES_PER_ITEM,
-    CPU_SINGLE_ITEM_NODES,
+    CPU_STEPS,
     DEFAULT_GROUP,
-    GPU_ITERATIONS_AHEAD,
+    GPU_STEPS,
     MOST_HELD,
     Array,
     Backend,
@@ -121,7 +120,7 @@ class OpenclBackend(Backend):
         self.most_array_bytes = self._device.max_mem_alloc_size
         self.partial_sums = min(CPU_PARTIAL_SUMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
-            (CPU_SINGLE_ITEM_NODES, CPU_NODES_PER_ITEM, 1) if self.on_cpu else (0, 1, GPU_ITERATIONS_AHEAD)
+            CPU_STEPS if self.on_cpu else GPU_STEPS
         )
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES

@@ -62,7 +62,7 @@ def carving_integers(
 
     def whole(values: np.ndarray) -> np.ndarray:
         integers: np.ndarray = np.rint(values * scale).astype(np.int64)
-        return np.broadcast_to(integers, np.shape(values))
+        return integers
 
     middle, width = whole(target), np.broadcast_to(whole(slack), target.shape)
     return (middle - width).astype(np.int32), (middle + width).astype(np.int32), whole(light).astype(np.int32)

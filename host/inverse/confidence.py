@@ -64,14 +64,13 @@ class Judged:
     """The surface that is judged: z (rows, cols) [nodes of its grid] on grid ``level``, where it has at most
     SMALL nodes a side.
 
-    misfit (rows, cols): mean squares of model - images around every node of the answer, which is
-    ``coarser`` grids finer. rivals: other answers, on this grid. refit: the surface by a finer model.
+    misfit (rows, cols): mean squares of model - images around every node of the answer. rivals: other
+    answers, on this grid. refit: the surface by a finer model.
     """
 
     multigrid: Multigrid
     level: int
     z: np.ndarray
-    coarser: int
     misfit: np.ndarray
     rivals: list[Rival]
     refit: Refit
@@ -120,7 +119,7 @@ def judgement_of(
         variance = variance + by_even_albedo(pyramid, grid, small)
         pyramid.fix_albedo(level, z)
     refit = refit_of(pyramid, grid, small)
-    judged = Judged(multigrid, grid, small, grid - level, misfit, rivals, refit)
+    judged = Judged(multigrid, grid, small, misfit, rivals, refit)
     std = np.sqrt(sum((part(judged) for part in PARTS), variance))
     others = other_depths(pyramid, grid, small, APART * depth_range)
     for finer in range(grid - 1, -1, -1):
@@ -241,8 +240,13 @@ PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
 
 def by_even_albedo(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
     """Squared distance to the surface of a more even albedo, where the albedo is not known."""
-    off = even_albedo_depth(pyramid, level, z) - z
-    return (UNEVEN_WEIGHT * blurred(np.abs(off))) ** 2
+    problem = pyramid.problem(level)
+    assert problem.albedo is not None, "the albedo is not known"
+    problem.albedo.set_prior(pyramid.expected_albedo, EVEN_WEIGHT * PRIOR_WEIGHT)
+    pyramid.set_prior(level, on_coarser_grid(z))
+    other = problem.run(z, pyramid.smoothness(level), STEPS, ITERATIONS, *CLOSE, pyramid.stop)
+    problem.albedo.set_prior(pyramid.expected_albedo)
+    return (UNEVEN_WEIGHT * blurred(np.abs(other.depth - z))) ** 2
 
 
 def refitted(multigrid: Multigrid, level: int, start: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -282,37 +286,19 @@ def shallower(multigrid: Multigrid, level: int, z: np.ndarray) -> np.ndarray:
         return multigrid.solve((low + high) / 2, pyramid.coarsest, level, accept=False).depth
 
 
-def even_albedo_depth(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
-    """The depth if the weight of an even albedo were EVEN_WEIGHT times as large; the albedo is not known."""
-    problem = pyramid.problem(level)
-    assert problem.albedo is not None, "the albedo is not known"
-    problem.albedo.set_prior(pyramid.expected_albedo, EVEN_WEIGHT * PRIOR_WEIGHT)
-    pyramid.set_prior(level, on_coarser_grid(z))
-    other = problem.run(z, pyramid.smoothness(level), STEPS, ITERATIONS, *CLOSE, pyramid.stop)
-    problem.albedo.set_prior(pyramid.expected_albedo)
-    return other.depth
-
-
 def other_depths(pyramid: Pyramid, level: int, z: np.ndarray, apart: float) -> np.ndarray:
     """Depths (CANDIDATES, rows, cols) [nodes of the finest grid], at least so far from z, at which a pixel
     has its values, of all images in the same step, while the surface goes up or down as a whole; nan where
     there is none.
     """
-    shifts, misfits = misfits_of_shifts(pyramid, level, z)
+    problem, images, (low, high) = pyramid.problem(level), pyramid.images[level], pyramid.bounds[level]
+    shifts = np.linspace(float((low - z).min()), float((high - z).max()), SHIFTS)
+    off = [np.stack(problem.irradiances(np.maximum(z + shift, NEAREST))) - images for shift in shifts]
+    shifts, misfits = shifts * 2**level, np.stack(off, axis=1)  # (images, SHIFTS, rows, cols)
     crosses = ((misfits[:, :-1] > 0) != (misfits[:, 1:] > 0)).all(0)
     share = (misfits[:, :-1] / np.where(crosses, misfits[:, :-1] - misfits[:, 1:], 1)).mean(0)
     shift = shifts[:-1, None, None] + share * (shifts[1] - shifts[0])
-    own, low, high = z * 2**level, *(bound * 2**level for bound in pyramid.bounds[level])
+    own, low, high = (depth * 2**level for depth in (z, low, high))
     valid = crosses & (np.abs(shift) > apart) & (own + shift >= low) & (own + shift <= high)
     order = np.argsort(~valid, axis=0, kind="stable")[:CANDIDATES]
     return np.take_along_axis(np.where(valid, own + shift, np.nan), order, 0)
-
-
-def misfits_of_shifts(pyramid: Pyramid, level: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Light of every pixel as its surface goes up and down as a whole: shifts (SHIFTS,) [nodes of the finest
-    grid] and model - image (images, SHIFTS, rows, cols).
-    """
-    problem, images, (low, high) = pyramid.problem(level), pyramid.images[level], pyramid.bounds[level]
-    shifts = np.linspace(float((low - z).min()), float((high - z).max()), SHIFTS)
-    misfits = [np.stack(problem.irradiances(np.maximum(z + shift, NEAREST))) - images for shift in shifts]
-    return shifts * 2**level, np.stack(misfits, axis=1)

@@ -24,7 +24,8 @@ def errors_at_creases(problem: Descent, z: np.ndarray, is_periodic: bool) -> lis
     square = 1 + p**2 + q**2
     faces = [(sx * bend_x / 2, sy * bend_y / 2) for sx in (-1, 1) for sy in (-1, 1)]
     found = []
-    for light, by_x, by_y in _lights(problem, z):
+    # light, and its derivatives by the tilts where the light that is visible stays as it is
+    for light, by_x, by_y in problem.irradiances(z, [0, 2, 3]):
         a, b = (by * np.sqrt(square) + light * tilt / np.sqrt(square) for by, tilt in ((by_x, p), (by_y, q)))
         flat = light * np.sqrt(square)
         of_faces = [
@@ -33,18 +34,6 @@ def errors_at_creases(problem: Descent, z: np.ndarray, is_periodic: bool) -> lis
         ]
         found.append(light - np.mean(of_faces, axis=0))
     return found
-
-
-def _lights(problem: Descent, z: np.ndarray) -> list[np.ndarray]:
-    """Of every image (3, rows, cols): the light at depths z, and its derivatives by the tilts where the light
-    that is visible stays as it is.
-    """
-    problem.value(z, 0.0)
-    get, here = problem.backend.download, problem.here
-    return [
-        (get(image.gains[here]) * get(image.links[here][0])[[0, 2, 3]]).reshape(3, *problem.shape)
-        for image in problem.images
-    ]
 
 
 def _tilts(z: np.ndarray, is_periodic: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -142,12 +142,12 @@ class Descent:
         self._at = z
         return value
 
-    def irradiances(self, z: np.ndarray) -> list[np.ndarray]:
-        """gain E of every image at depths (rows, cols)."""
+    def irradiances(self, z: np.ndarray, rows: int | list[int] = 0) -> list[np.ndarray]:
+        """gain E of every image at depths (rows, cols). ``rows``: of the light in its links, E the first."""
         self.value(z, 0.0)
-        get = self.backend.download
+        get, shape = self.backend.download, (*np.shape(rows), *self.shape)
         return [
-            (get(image.gains[self.here]) * get(image.links[self.here][0])[0]).reshape(self.shape)
+            (get(image.gains[self.here]) * get(image.links[self.here][0])[rows]).reshape(shape)
             for image in self.images
         ]
 

@@ -136,7 +136,6 @@ class Image:
         rows, cols = self.shape
         azimuths = self.slices if self.backend.nodes_per_item > 1 else 1  # of a work-item
         across = -(-cols // self.backend.lanes)
-        seen = surface.heights, surface.tilts, surface.top
         size = rows, cols, MARGIN, self.slices
         self.backend.launch(
             "adjoint",
@@ -149,8 +148,8 @@ class Image:
             "adjoint",
             "sky",
             (across, rows),
-            *(*seen, self.numbers, self.slopes, self.directions, self.table),
-            *(*self.direct[side], *size, self.knots, self.sides),
+            *(surface.heights, surface.tilts, surface.top, self.numbers, self.slopes),
+            *(self.directions, self.table, *self.direct[side], *size, self.knots, self.sides),
         )
 
     def _evaluate_lamp(self, side: int, surface: Surface) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 
 from .. import sources
 from ..directions import Azimuths
+from ..sources.solids import rectangle
+from ..sources.tables import diamond_azimuths
 
 LAMP_SLICES = 24  # of a lamp or window
 TABLE_AZIMUTHS = 128  # of a lamp's table of brightness
@@ -52,11 +54,8 @@ def brightness_of(source: sources.Source, azimuths: int) -> Brightness:
         return directions, table
     if not callable(source.brightness):
         return None, None
-    place = 4 * np.arange(TABLE_AZIMUTHS) / TABLE_AZIMUTHS  # the diamond angle
-    cosine = np.where(place < 2, 1 - place, place - 3)
-    sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
-    angles = np.arctan2(sine, cosine)
-    return None, sources.elevation_table(source, angles, np.zeros(TABLE_AZIMUTHS), TABLE_AZIMUTHS)
+    angles = diamond_azimuths(TABLE_AZIMUTHS)
+    return None, sources.elevation_table(source, angles, 0 * angles, TABLE_AZIMUTHS)
 
 
 def light_of(source: sources.Source, shape: tuple[int, int], scale: float, brightness: Brightness) -> Light:
@@ -84,15 +83,14 @@ def _on_grid(point: Sequence[float] | np.ndarray, scale: float) -> np.ndarray:
     return np.array([(point[0] + 0.5) * scale - 0.5, (point[1] + 0.5) * scale - 0.5, -point[2] * scale])
 
 
-def _corners(source: sources.Lamp | sources.Window) -> Sequence[Sequence[float] | np.ndarray]:
+def _corners(source: sources.Lamp | sources.Window) -> Sequence[Sequence[float]] | np.ndarray:
     """The corners of a window or rectangular lamp, in turn."""
     if isinstance(source, sources.Window):
         assert source.x is not None and source.y is not None, "apertures are for method='paper'"
         (x0, x1), (y0, y1) = source.x, source.y
         return [(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)]
     assert source.corner is not None and source.edges is not None, "volumes are for method='paper'"
-    corner, u, v = (np.array(part) for part in (source.corner, *source.edges))
-    return [corner, corner + u, corner + u + v, corner + v]
+    return rectangle(source.corner, *source.edges).corners
 
 
 def _ball_frames(center: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

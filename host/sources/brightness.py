@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -287,18 +287,24 @@ class EnvironmentMap(Distribution):
 
 
 @dataclass(frozen=True)
-class Channel(Distribution):
-    """One channel of an RGB brightness function."""
+class _Derived(Distribution):
+    """A brightness function made of another one and of the fields of the class."""
 
     function: Distribution
-    number: int
 
     def held_by(self) -> Held | None:
         held = self.function.held_by()
-        return held and held.of("channel", self.number)
+        return held and held.of(type(self), *(getattr(self, field.name) for field in fields(self)[1:]))
 
     def narrow(self) -> Directions | None:
         return self.function.narrow()
+
+
+@dataclass(frozen=True)
+class Channel(_Derived):
+    """One channel of an RGB brightness function."""
+
+    number: int
 
     def equirectangular(self) -> np.ndarray | None:
         image = self.function.equirectangular()
@@ -316,18 +322,10 @@ class Channel(Distribution):
 
 
 @dataclass(frozen=True)
-class Scaled(Distribution):
+class Scaled(_Derived):
     """A brightness function times a number."""
 
-    function: Distribution
     factor: float
-
-    def held_by(self) -> Held | None:
-        held = self.function.held_by()
-        return held and held.of("times", self.factor)
-
-    def narrow(self) -> Directions | None:
-        return self.function.narrow()
 
     def equirectangular(self) -> np.ndarray | None:
         image = self.function.equirectangular()
@@ -338,21 +336,16 @@ class Scaled(Distribution):
 
 
 @dataclass(frozen=True)
-class Mirrored(Distribution):
+class Mirrored(_Derived):
     """A brightness function in the axes of a map whose columns or rows run the other way.
 
     ``axes``: 1 or -1 that x and y of a direction are multiplied by.
     """
 
-    function: Distribution
     axes: tuple[float, float]
 
     def by_formula(self) -> bool:
         return self.function.by_formula()
-
-    def held_by(self) -> Held | None:
-        held = self.function.held_by()
-        return held and held.of("axes", self.axes)
 
     def _turned(self, L: Any) -> np.ndarray:
         return np.asarray(L, float) * (*self.axes, 1.0)

@@ -23,7 +23,7 @@ import numpy as np
 from .. import sources
 from ..directions import Azimuths
 from ..locks import give_lock
-from .tables import EVALUATION_BATCH, diamond, elevation_of
+from .tables import EVALUATION_BATCH, diamond, diamond_azimuths, elevation_of, varying
 
 # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
 ROWS, COLS = 640, 2304
@@ -265,8 +265,7 @@ class Integrals:
     """A grey sky, integrated.
 
     ``bright_parts``: the small ones, brightest first; ``level``: irradiance of open level ground [brightness
-    x sr], these included, and ``rest`` without them; ``error``: estimate of its relative error; ``mean``:
-    brightness of a uniform sky with the same rest.
+    x sr], these included, and ``rest`` without them; ``error``: estimate of its relative error.
     """
 
     def __init__(
@@ -282,8 +281,7 @@ class Integrals:
         may span [rad]. ``bands``: of :func:`_bands`, if they are made already; they are changed.
         """
         function, peaks = _function_of(source), _peaks(source)
-        brightness = sources.distribution_of(source)
-        image = None if brightness is None else brightness.equirectangular()
+        image = varying(source).equirectangular()
         bands = _bands(source, fine) if bands is None else bands
         self._source = sources.Sky(function)
         self.looked_closer = False  # than at base cells
@@ -322,7 +320,6 @@ class Integrals:
                 for values, moment in zip(part, spot.cells.moments):
                     np.subtract.at(values.reshape(-1), spot.cells.base[inside] - sizes[n], moment[inside])
         self.rest = float(sum(part[1].sum() for part in parts))
-        self.mean = self.rest / math.pi
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
         self._sums = [_cumulative(part) for part in parts]
         small = [values for part in self.bright_parts for values in part.cells]
@@ -521,10 +518,7 @@ class Integrals:
         """
 
         def make() -> np.ndarray:
-            place = 4 * np.arange(turns + 1) / turns
-            cosine = np.where(place < 2, 1 - place, place - 3)
-            sine = np.where(place < 1, place, np.where(place < 3, 2 - place, place - 4))
-            azimuth = np.append(np.arctan2(sine, cosine)[:-1] % (2 * math.pi), 2 * math.pi)
+            azimuth = np.append(diamond_azimuths(turns) % (2 * math.pi), 2 * math.pi)
             light = self.above(azimuth[:-1], azimuth[1:], np.linspace(0, 1, knots), True)
             per_radian = (light / np.diff(azimuth)[:, None]).transpose(1, 2, 0)
             return np.ascontiguousarray(per_radian, np.float32)
@@ -580,10 +574,10 @@ def integrals(
     Those of a function, which may depend on anything, are kept if they were made of its values in base cells
     alone. These are computed each time, a fifth of the work: where all are the same, so are the integrals.
     """
-    brightness = sources.distribution_of(source)
-    if brightness is not None and brightness.by_formula():
+    brightness = varying(source)
+    if brightness.by_formula():
         return _of_formulas(source, tolerance, fine, widest)
-    held, named = None if brightness is None else brightness.held_by(), bool(_peaks(source))
+    held, named = brightness.held_by(), bool(_peaks(source))
     if held is None or not type(held.owner).__weakrefoffset__ or named and not held.lasts:
         return Integrals(source, tolerance, fine, widest)
     how: tuple[Any, ...] = tolerance, fine, widest, held.part
@@ -602,8 +596,7 @@ def integrals(
 def level_of(sky: sources.Sky) -> float:
     """Irradiance of open level ground under a sky whose brightness varies; of a function by its values in
     cells of half a degree."""
-    brightness = sources.distribution_of(sky)
-    assert brightness is not None, "its brightness varies"
+    brightness = varying(sky)
     held = brightness.held_by()
     if brightness.by_formula() or held is not None and held.lasts:
         return integrals(sky, np.inf).level
@@ -682,15 +675,14 @@ def _with_disc(sky: sources.Distribution, disc: sources.Disc) -> sources.Brightn
 
 def _function_of(source: sources.Source) -> Any:
     """The brightness with the sun's disc, which is part of the sky."""
-    brightness = sources.distribution_of(source)
-    disc = None if brightness is None else brightness.disc()
-    return source.brightness if brightness is None or disc is None else _with_disc(brightness, disc)
+    brightness = varying(source)
+    disc = brightness.disc()
+    return source.brightness if disc is None else _with_disc(brightness, disc)
 
 
 def _bands(source: sources.Source, fine: bool) -> list[Band]:
     """The base cells of a sky; ``fine``: small ones, also where narrow features are named."""
-    brightness = sources.distribution_of(source)
-    image = None if brightness is None else brightness.equirectangular()
+    image = varying(source).equirectangular()
     if image is not None:
         return _of_map(image)
     return _of_function(_function_of(source), _peaks(source) is not None and not fine)
