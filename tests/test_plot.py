@@ -356,9 +356,9 @@ def test_north_and_the_scale_bar_lie_on_small_and_on_long_maps(shape):
 
 def test_recovery_without_a_value():
     """nan is drawn as missing, a black image black; something else than a Recovery is refused."""
-    scene = sl.Scene(np.full((8, 8), 3.0))
-    found = sl.recover(np.ones((8, 8)), sl.Sky(), layers=4, interreflection=False, backend="numpy")
-    truth = np.where(np.eye(8, dtype=bool), np.nan, scene.depth)
+    depth = np.full((8, 8), 3.0)
+    found = sl.Recovery(depth, np.zeros((8, 8), bool), "numpy", 0.0, 0.0, confidence=np.ones((8, 8)))
+    truth = np.where(np.eye(8, dtype=bool), np.nan, depth)
     figure = plot.recovery(np.zeros((8, 8)), found, truth)
     image, _, true = [axes.images[0] for axes in figure.axes if axes.images][:3]
     assert image.norm(0.0) == 0 and image.norm.vmax > 0
