@@ -23,7 +23,7 @@ from .sources.over_time import SkyOverTime, sky_over_time
 from .sources.shapes import Lamp, Sky, Window
 from .visibility import View, VisibilityField, visibility, visibility_field
 
-_LAZY = {"geo": "skylamp.geo", "plot": "skylamp.plot"}  # they need optional libraries
+_LAZY = {name: f"skylamp.{name}" for name in ("geo", "io", "plot")}  # they import more than arrays need
 
 
 def __getattr__(name: str) -> ModuleType:

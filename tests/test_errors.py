@@ -284,6 +284,10 @@ RECOVER = {
     ),
     "no layers": (lambda: sl.recover(IMAGE, SKY, layers=0), ["layers", "0"]),
     "half a layer": (lambda: sl.recover(IMAGE, SKY, layers=2.5), ["layers", "2.5"]),
+    "several images, one source": (
+        lambda: sl.recover([IMAGE, IMAGE], SKY),
+        ["source: got one, of 2 images", "one per image"],
+    ),
     "even M": (lambda: sl.recover(IMAGE, SKY, hemicube=4), ["hemicube", "4", "odd"]),
     "albedo 0": (lambda: sl.recover(IMAGE, SKY, albedo=0), ["albedo", "> 0"]),
     "albedo map with a black pixel": (

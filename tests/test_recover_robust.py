@@ -696,6 +696,8 @@ def test_a_lamp_beside_the_map_is_told(x, sides, is_told):
         found = sl.recover(np.full((32, 32), 0.02), lamp, 0.5, sides, **options)
         told = [text for text in found.warnings if text.startswith("Lamp beside the map: by ")]
         assert len(told) == is_told, found.warnings
+        if is_told:
+            assert found.std.min() >= 2 and found.confidence.max() < 0.5  # 4, a quarter of 8 layers at most
 
 
 def wavy():

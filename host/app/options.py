@@ -66,8 +66,8 @@ Source = Annotated[
     str | None,
     unset(
         help=(
-            "sky | overcast | clear | cie1 to cie15 | lamp | window | FILE, an environment map  [default:"
-            " lamp with --lamp, window with --window, else sky]"
+            "sky | overcast | clear | cie1 to cie15 | lamp | window | FILE, an environment map, as luminance"
+            "  [default: lamp with --lamp, window with --window, else sky]"
         )
     ),
 ]

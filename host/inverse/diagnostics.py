@@ -83,10 +83,10 @@ def of_images(
                     f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours"
                     " differ by less; fine relief is lost in them."
                 )
-    if scene.sides == "open" and len(lights) == 1 and (beside := _beside(lights[0], scene.shape)):
+    if beside := lamp_beside(scene, lights):
         warnings.append(
             f"Lamp beside the map: by {beside:.3g} nodes, so that surfaces which lie some nodes apart have"
-            " nearly the same image, and std may be far too small."
+            " nearly the same image; std and confidence include that."
         )
     for light in lights:
         if (width := _width_of(light)) < NARROW:
@@ -114,16 +114,20 @@ def _width_of(light: sources.Source) -> float:
     return math.inf
 
 
-def _beside(light: sources.Source, shape: tuple[int, ...]) -> float:
-    """How far [nodes] the middle of a lamp stands beside the map."""
-    if not isinstance(light, sources.Lamp):
+def lamp_beside(scene: Scene, lights: Sequence[sources.Source]) -> float:
+    """How far [nodes] the one lamp stands beside a map with open sides, by its middle; else 0.
+
+    ``lights``: in nodes.
+    """
+    light = lights[0]
+    if scene.sides != "open" or len(lights) > 1 or not isinstance(light, sources.Lamp):
         return 0.0
     middle = light.center
     if light.corner is not None and light.edges is not None:
         middle = light.corner + np.sum(light.edges, 0) / 2
     if middle is None:
         return 0.0
-    beyond = [max(-at, at - (n - 1), 0.0) for at, n in zip(middle, shape[::-1])]
+    beyond = [max(-at, at - (n - 1), 0.0) for at, n in zip(middle, scene.shape[::-1])]
     return math.hypot(*beyond)
 
 

@@ -58,7 +58,8 @@ def read(path: StrPath, name: str | None = None, *, scaled: bool = False) -> np.
             if array.ndim == 3 and (array == array[..., :1]).all():
                 array = array[..., 0]  # three equal channels are grey; a .hdr has no fewer
             if array.ndim == 3:
-                raise bad(f"{path}: not grey", "red, green and blue", "one channel", png.GREY_FIX)
+                fix = f"{png.GREY_FIX} read_environment(path, colour=True) keeps the colours."
+                raise bad(f"{path}: not grey", "red, green and blue", "one channel", fix)
         else:
             array = tiff.read(path)
     dtype: Any = getattr(array, "dtype", "no array")

@@ -83,9 +83,9 @@ def _read_openexr(path: Path) -> np.ndarray:
 def _write_openexr(path: Path, array: np.ndarray) -> None:
     if array.dtype not in (np.float16, np.float32, np.uint32) or not _is_picture(array):
         raise bad(
-            f"{path}: an OpenEXR file holds one picture",
+            f"{path}: cannot be written as OpenEXR",
             f"dtype {array.dtype}, shape {array.shape}",
-            "float16, float32 or uint32, (rows, cols) or (rows, cols, 3)",
+            "float16, float32 or uint32, (rows, cols) or (rows, cols, 3), in one file one picture",
         )
     OpenEXR = module(path)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}

@@ -28,7 +28,9 @@ def readable(path: StrPath) -> Path:
         if not path.exists():
             raise InputError(f"File not found: {path}. The path is looked up from {Path.cwd()}.")
         if path.suffix.lower() not in MAP_SUFFIXES + HDR:
-            raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(MAP_SUFFIXES + HDR))
+            photograph = path.suffix.lower() in (".jpg", ".jpeg")
+            fix = "A photograph is decoded first, by skylamp.io.linear." if photograph else ""
+            raise bad(f"{path}: unknown extension", repr(path.suffix), " ".join(MAP_SUFFIXES + HDR), fix)
         if path.stat().st_size == 0:
             raise bad(f"{path}: cannot read", "an empty file", "a file with data")
     return path
