@@ -417,11 +417,13 @@ def _positions(labels: Labels, name: Hashable) -> Any:
     return coordinate if is_line else None
 
 
-def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: Any) -> Any:
+def labelled(
+    array: Any, labels: Labels | None, quantity: Quantity, last: str = "channel", **leading: Any
+) -> Any:
     """``array`` as an xarray.DataArray with the coordinates of ``labels``, or as it is where there are none.
 
     Name, units and description are those of ``quantity``; other attributes stay. ``leading``: axes before
-    theirs, with coordinates. Colours are an axis ``channel`` after theirs.
+    theirs, with coordinates. Colours are an axis ``last`` after theirs. InputError if that name is taken.
     """
     if labels is None or array is None:
         return array
@@ -429,7 +431,9 @@ def labelled(array: Any, labels: Labels | None, quantity: Quantity, **leading: A
 
     dims = *leading, *labels.dims
     if array.ndim > len(dims):
-        dims = *dims, "channel"
+        dims = *dims, last
+        if last in labels.dims or last in labels.coords:
+            raise bad("names of a DataArray", last, "others: it is an axis of the result", "Rename it.")
     attrs = {key: value for key, value in labels.attrs.items() if key not in OF_VALUES}
     told = {"units": quantity.units, "long_name": quantity.long_name}
     attrs |= {key: value for key, value in told.items() if value is not None}

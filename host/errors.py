@@ -39,7 +39,8 @@ def lacking(what: str, package: str, extra: str, error: ImportError) -> InputErr
     """An InputError for a package that is not installed, or that ``error`` says is broken, with the pip
     command that installs it."""
     command = f"pip install 'skylamp[{extra}]'"
-    if isinstance(error, ModuleNotFoundError):
+    missing = (error.name or "").partition(".")[0]
+    if isinstance(error, ModuleNotFoundError) and (missing in package or missing == "cv2"):
         lacks = "not all of which are installed" if " and " in package else "which is not installed"
         return InputError(f"{what} needs {package}, {lacks}: {command}")
     return InputError(f"{what} needs {package}, which cannot be imported ({error}): {command} --upgrade")

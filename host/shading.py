@@ -78,9 +78,9 @@ def normals(scene: Scene) -> np.ndarray:
     normal = np.stack([*along, np.full(scene.shape, -1, np.float32)], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     normal[~valid] = np.nan
-    result: Any = labelled(normal, scene.labels, NORMAL)
+    result: Any = labelled(normal, scene.labels, NORMAL, "component")
     if scene.labels is not None:
-        result = result.rename(channel="component").assign_coords(component=["x", "y", "z"])
+        result = result.assign_coords(component=["x", "y", "z"])
     unit: np.ndarray = result
     return unit
 

@@ -535,7 +535,7 @@ def test_errors_travel_between_processes(kind):
 
 def test_a_broken_package_is_not_called_missing():
     """A package that is there and cannot be imported: its own error, and to upgrade."""
-    gone = lacking("a picture", "matplotlib", "plot", ModuleNotFoundError("No module named 'matplotlib'"))
+    gone = lacking("a picture", "matplotlib", "plot", ModuleNotFoundError(name="matplotlib"))
     broken = lacking("a picture", "matplotlib", "plot", ImportError("numpy.core.multiarray failed"))
     assert str(gone).endswith("which is not installed: pip install 'skylamp[plot]'")
     assert "cannot be imported (numpy.core.multiarray failed)" in str(broken) and "--upgrade" in str(broken)
@@ -548,3 +548,11 @@ def test_a_folder_that_pyopencl_left_behind(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyopencl", ModuleType("pyopencl"))
     (info,) = opencl.probe()
     assert not info.available and info.why == "pyopencl is not installed"
+
+
+def test_a_package_of_which_a_part_is_missing_is_broken():
+    """Another module that a package imports is named; pip would find the package itself."""
+    error = ModuleNotFoundError("No module named 'affine'", name="affine")
+    assert "cannot be imported (No module named 'affine')" in str(
+        lacking("a GeoTIFF", "rasterio", "geo", error)
+    )

@@ -14,7 +14,7 @@ from skylamp.backends import select
 from skylamp.light.horizon import Horizons
 from skylamp.sources import integrals
 from skylamp.sources.brightness import distribution
-from skylamp.sources.integrals import Integrals, even, sector_multiples
+from skylamp.sources.integrals import KEPT_TABLE_BYTES, Integrals, even, sector_multiples
 
 FLAT = sl.Scene(np.full((24, 31), 5.0))
 DISC = np.sin(np.radians(0.2665)) ** 2
@@ -563,3 +563,26 @@ def test_brightness_can_be_pickled(brightness):
     np.testing.assert_array_equal(copied(L), brightness(L))
     before, after = map(distribution, (brightness, copied))
     assert after.narrow() == before.narrow() and after.disc() == before.disc()
+
+
+def test_kept_tables_are_bounded():
+    """However many are asked for, they take KEPT_TABLE_BYTES at most, and nbytes has them."""
+    light = Integrals(sl.Sky(sl.cie_overcast()))
+    before = light.nbytes
+    for count in range(20, 120):
+        azimuths = even(count, 0.5)
+        light.table(azimuths.angles, azimuths.widths, 1025)
+    kept = light.nbytes - before
+    assert 0 < kept <= KEPT_TABLE_BYTES
+    first = light.table(azimuths.angles, azimuths.widths, 1025)
+    assert first is light.table(azimuths.angles, azimuths.widths, 1025) and not first.flags.writeable
+
+
+def test_spots_of_any_axis_and_of_no_greater_power():
+    """An axis of any length is its direction; a power whose light would be wrong is refused."""
+    L = np.array([[0.6, 0.0, -0.8], [0.0, 0.0, -1.0]])
+    plain = sl.cosine_power(3, (-1, 0, 1))(L)
+    for size in (1e300, 1e-300):
+        np.testing.assert_allclose(sl.cosine_power(3, (-size, 0, size))(L), plain, rtol=1e-12)
+    with pytest.raises(sl.InputError, match=r"power: got 100000000.0; allowed: .* at most 1e\+07"):
+        sl.cosine_power(1e8)

@@ -280,3 +280,7 @@ def test_normals():
     np.testing.assert_allclose(repeats, np.array([rise, 0, -1]) / np.hypot(rise, 1), atol=1e-6)
     with pytest.raises(sl.InputError, match="scene: got ndarray"):
         sl.normals(depth)
+    taken = south.rename(x="component")
+    with pytest.raises(sl.InputError, match="names of a DataArray: got component"):
+        sl.normals(sl.Scene.from_height(taken))
+    assert sl.normals(sl.Scene.from_height(south.assign_coords(channel=3))).dims[2] == "component"

@@ -201,7 +201,8 @@ def linear(image: ArrayLike) -> np.ndarray:
     tones = numbers(image, "linear: image")
     if tones.dtype.kind != "f" and tones.dtype not in (np.uint8, np.uint16):
         raise bad("linear: image", tones.dtype, "uint8, uint16, or tones from 0 to 1, floating")
-    tones = tones / np.float64(1 if tones.dtype.kind == "f" else np.iinfo(tones.dtype).max)
+    full = 1 if tones.dtype.kind == "f" else np.iinfo(tones.dtype).max
+    tones = tones.astype(np.float64) / full
     if not (tones.min() >= 0 and tones.max() <= 1):  # nan is neither
         raise bad("linear: image", f"tones from {tones.min()} to {tones.max()}", "0 to 1")
     light: np.ndarray = np.where(tones <= 0.04045, tones / 12.92, ((tones + 0.055) / 1.055) ** 2.4)

@@ -37,7 +37,8 @@ class Raster:
     values (rows, cols), in the file's own type; mask (rows, cols) bool, True where there are data; spacing:
     side of a cell in the unit of the values (metres, unless the band is in feet); crs and transform, of the
     cells' corners, as rasterio has them; nodata, the file's value or None; point: whether the file calls its
-    values those of points, AREA_OR_POINT; unit: of the values, as the file tells it, "" if it tells none.
+    values those of points, AREA_OR_POINT; unit: of the values, as the file tells it, in lower case; "" if it
+    tells none.
     """
 
     values: np.ndarray = field(repr=False)

@@ -21,6 +21,9 @@ from ..checks import real_array
 from ..errors import bad
 
 WIDE_POWER, NARROW_POWER = 64, 1e5  # of spots that are wider than 12 degrees, and narrower than 0.4
+# of a spot, 0.03 degrees wide. Measured: level ground straight below one of 1e6, 1e8, 1e9 and 1e11 has
+# 1.0016, 1.008, 1.03 and 1.7 times its light
+MOST_POWER = 1e7
 BRIGHTEST = 1e30  # so that sums stay in float32
 # greatest values of functions that are taken as they are, so that squares stay in float32; others are scaled
 # by a power of two, which is exact
@@ -191,11 +194,13 @@ def cosine_power(
     if not along.any():
         raise bad("cosine_power: axis", along.tolist(), "three finite numbers, not all zero")
     try:
-        allowed = not isinstance(power, str) and 0 <= float(power) < np.inf
+        allowed = not isinstance(power, str) and 0 <= float(power) <= MOST_POWER
     except (TypeError, ValueError, OverflowError):
         allowed = False
     if not allowed:
-        raise bad("cosine_power: power", repr(power), "a finite number >= 0")
+        raise bad("cosine_power: power", repr(power), f"a finite number >= 0, at most {MOST_POWER:g}")
+    if not 1e-100 < (largest := np.abs(along).max()) < 1e100:  # whose squares are no numbers
+        along = along / largest
     unit, value = along / np.linalg.norm(along), brightness_number(brightness)
     peaks = () if power <= WIDE_POWER else None if power <= NARROW_POWER else (tuple((-unit).tolist()),)
     return Formula(_spot, (float(power), tuple(unit.tolist()), value), peaks)

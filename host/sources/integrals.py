@@ -62,9 +62,9 @@ INNER = 0.1  # share of a small part's light from which on far brighter cells in
 # cells along a pixel of a map from which on a bright one is not divided further. With 10 its extent errs by
 # 0.3 %, with 5 by 2 %, with 20 by 0.06 % (tests/test_integrals.py)
 LIGHT_CELLS = 16
-# tables that one sky's integrals keep, and the largest of them [byte]: 8 azimuths take 4 or 130 kB, light by
-# normal 17 kB, chords up to 2 MB; chosen: one call needs a third of them
-KEPT_TABLES, LARGEST_KEPT = 32, 2**21
+# of tables that one sky's integrals keep besides: of light by normal 17 kB each, of 8 azimuths 4 or 130 kB,
+# of chords up to 2 MB. Chosen: a call within a tolerance needs some 1 MB of them
+KEPT_TABLE_BYTES = 2**23
 # of tables of maps and functions, together; chosen: five maps of 2048 x 4096 pixels in grey
 KEPT_BYTES = 2**28
 SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8 and 32 give the same errors
@@ -323,7 +323,7 @@ class Integrals:
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
         self._sums = [_cumulative(part) for part in parts]
         small = [values for part in self.bright_parts for values in part.cells]
-        self.nbytes = sum(part.nbytes for part in (*self._sums, *small))
+        self._nbytes = sum(part.nbytes for part in (*self._sums, *small))
         self._kept: dict[tuple[Any, ...], np.ndarray] = {}
         is_smooth = math.isinf(tolerance) or self._misplaced() <= MISPLACED_SHARE * tolerance
         self.knots = SKY_KNOTS if is_smooth else FINE_KNOTS
@@ -498,16 +498,22 @@ class Integrals:
         above: np.ndarray = ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
         return above
 
+    @property
+    def nbytes(self) -> int:
+        """Of all that is kept."""
+        return self._nbytes + sum(table.nbytes for table in list(self._kept.values()))
+
     def once(self, key: tuple[Any, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
         """What ``make`` gives, kept under ``key``, which says all that it depends on; not to be changed."""
         made = self._kept.get(key)
         if made is None:
-            for oldest in list(self._kept)[: max(0, len(self._kept) + 1 - KEPT_TABLES)]:
-                self._kept.pop(oldest, None)
             made = make()
             made.flags.writeable = False
-            if made.nbytes <= LARGEST_KEPT:
-                self._kept[key] = made
+            self._kept[key] = made
+            for oldest in list(self._kept):
+                if sum(table.nbytes for table in list(self._kept.values())) <= KEPT_TABLE_BYTES:
+                    break
+                self._kept.pop(oldest, None)
         return made
 
     def chords(self, turns: int, knots: int) -> np.ndarray:
