@@ -183,7 +183,8 @@ def cosine_power(
 ) -> BrightnessFunction:
     """A spotlight: brightness x max(0, -L . axis)^power.
 
-    ``axis``: the direction in which it shines; it need not be a unit vector.
+    ``power``: 0 to 1e7, of a spot 0.03 degrees wide. ``axis``: the direction in which it shines; it need not
+    be a unit vector. Raises InputError.
 
     Returns
     -------
