@@ -389,18 +389,18 @@ def directions_of(azimuth: Any, sine: Any) -> np.ndarray:
     return directions
 
 
-def brightness_number(value: Any) -> float:
-    """A grey brightness, checked."""
+def brightness_number(value: Any, name: str = "brightness") -> float:
+    """A grey brightness or irradiance, checked; ``name``: of the argument."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         raise bad(
-            "brightness",
+            name,
             repr(value),
             "a number, RGB as three numbers, or a function of unit vectors (..., 3) -> (...)",
         ) from None
     if not 0 <= number <= BRIGHTEST:
-        raise bad("brightness", number, f"finite, >= 0, at most {BRIGHTEST:g}")
+        raise bad(name, number, f"finite, >= 0, at most {BRIGHTEST:g}")
     return number
 
 

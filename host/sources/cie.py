@@ -135,9 +135,9 @@ def cie_sky(
         sun = _angles(sun)
     if zenith is not None and horizontal is not None:
         raise bad("cie_sky: brightness", "zenith and horizontal", "one of the two")
-    direct = brightness_number(direct)
+    direct = brightness_number(direct, "direct: brightness")
     if horizontal is not None:
-        zenith = brightness_number(horizontal) / _horizontal(int(type), sun)
+        zenith = brightness_number(horizontal, "horizontal: brightness") / _horizontal(int(type), sun)
     return CieSky(int(type), sun, brightness_number(1.0 if zenith is None else zenith), direct)
 
 
