@@ -27,8 +27,8 @@ from .sources.solids import Dome
 # on a slope, of 100 by 0.3 and of 150 by 1.7 %; with 16 alone of 300 by 4.9 % without a difference
 BRDF_ELEVATIONS = 16, 13
 BRDF_RAYS = 12  # rays across a lamp or window, of a BRDF; its square in all
-NORMAL = Quantity("normal", "1", "unit normal of the surface")
 BRDF_BATCH = 2**18  # directions that a BRDF function is given at a time
+NORMAL = Quantity("normal", "1", "unit normal of the surface")
 
 
 def lobe_of(scene: Scene, lost: float = 1e-4) -> Lobe | None:

@@ -27,8 +27,8 @@ from ..constants import MOST_PIXELS, PIXEL_PADDING
 from ..errors import CapacityError, OutOfTimeError
 from ..locks import give_lock
 
-# single_item_nodes, nodes_per_item and iterations_ahead of a Backend
-CPU_STEPS, GPU_STEPS = (8192, 64, 1), (0, 1, 8)
+# how a device takes loops over nodes and iterations: single_item_nodes, nodes_per_item, iterations_ahead
+CPU_LOOPS, GPU_LOOPS = (8192, 64, 1), (0, 1, 8)
 DEFAULT_GROUP = 256  # work-items of a group of any kernel but scan, at most
 
 # tables that a backend keeps, and the bytes of one at most; chosen: together they stay below 32 MiB, and a

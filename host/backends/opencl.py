@@ -22,9 +22,9 @@ from ..constants import GPU_LINES, GPU_PIXELS, SQUARE
 from ..errors import BackendError
 from . import staging
 from .base import (
-    CPU_STEPS,
+    CPU_LOOPS,
     DEFAULT_GROUP,
-    GPU_STEPS,
+    GPU_LOOPS,
     MOST_HELD,
     Array,
     Backend,
@@ -120,7 +120,7 @@ class OpenclBackend(Backend):
         self.most_array_bytes = self._device.max_mem_alloc_size
         self.partial_sums = min(CPU_PARTIAL_SUMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
-            CPU_STEPS if self.on_cpu else GPU_STEPS
+            CPU_LOOPS if self.on_cpu else GPU_LOOPS
         )
         self.strips = CPU_STRIPS if self.on_cpu else 1
         self.lines = 1 if self.on_cpu else GPU_LINES

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,8 +33,6 @@ from .search import OutOfTime, Rival, Search
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 MOST_LAYERS = 2**20
-# those of recover(): 9 x 9 directions, and of carving the paper's criterion with 2 % of the largest radiance
-PAPER_DEFAULTS = {"hemicube": 9, "eps": 0.02, "stop": "eps"}
 CANDIDATE_DEPTH = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
 MAPS = (  # fields of Recovery that are maps
     Quantity("depth", None, "depth, in the unit of spacing"),
@@ -175,8 +174,9 @@ def recover(
 
 
 def _unused(**given: Any) -> list[str]:
-    """The warning for arguments of method "paper" given to "robust"; PAPER_DEFAULTS count as not given."""
-    names = [name for name, value in given.items() if value != PAPER_DEFAULTS[name]]
+    """The warning for arguments of method "paper" given to "robust"; the defaults count as not given."""
+    usual = inspect.signature(recover).parameters
+    names = [name for name, value in given.items() if value != usual[name].default]
     return [f"Not used: {', '.join(names)}. Only method 'paper' has them."] if names else []
 
 

@@ -200,7 +200,7 @@ def _by_normals(sky: Integrals, azimuths: Azimuths, window: float) -> np.ndarray
     def make() -> np.ndarray:
         return unoccluded.by_normals(sky.table(angles, np.full(len(angles), window)), angles, widths)
 
-    return sky.once((angles.tobytes(), widths.tobytes(), window), make)
+    return sky.once(("by normals", angles.tobytes(), widths.tobytes(), window), make)
 
 
 def with_bright_parts(

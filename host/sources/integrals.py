@@ -469,7 +469,7 @@ class Integrals:
             sines = np.sin(elevation_of(np.linspace(0, 1, count)))
             return _with_steps(self.above(angles - widths / 2, angles + widths / 2, sines) / widths[:, None])
 
-        return self.once((angles.tobytes(), widths.tobytes(), count), make)
+        return self.once(("table", angles.tobytes(), widths.tobytes(), count), make)
 
     def above(
         self, begin: np.ndarray, end: np.ndarray, sines: np.ndarray, unbiased: bool = False
@@ -509,9 +509,11 @@ class Integrals:
         if made is None:
             made = make()
             made.flags.writeable = False
+            if made.nbytes > KEPT_TABLE_BYTES:
+                return made
             self._kept[key] = made
             for oldest in list(self._kept):
-                if sum(table.nbytes for table in list(self._kept.values())) <= KEPT_TABLE_BYTES:
+                if self.nbytes - self._nbytes <= KEPT_TABLE_BYTES:
                     break
                 self._kept.pop(oldest, None)
         return made
@@ -532,7 +534,8 @@ class Integrals:
         return self.once(("chords", turns, knots), make)
 
 
-_of_formulas = functools.lru_cache(16)(Integrals)  # 1.3 MB each, 20 to 60 ms to make
+# 1.3 MB each, besides KEPT_TABLE_BYTES at most, and 20 to 60 ms to make
+_of_formulas = functools.lru_cache(16)(Integrals)
 
 
 class _Kept:

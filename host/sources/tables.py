@@ -19,7 +19,7 @@ EVALUATION_BATCH = 2**13
 
 
 def varying(source: Source) -> Distribution:
-    """The brightness of a source of which it depends on the direction."""
+    """The brightness of a source, which depends on the direction."""
     brightness = distribution_of(source)
     assert brightness is not None, "its brightness varies"
     return brightness
