@@ -83,10 +83,10 @@ def of_images(
                     f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours"
                     " differ by less; fine relief is lost in them."
                 )
-    if beside := lamp_beside(scene, lights):
+    if (middle := lamp_beside(scene.shape, scene.sides, lights)) is not None:
         warnings.append(
-            f"Lamp beside the map: by {beside:.3g} nodes, so that surfaces which lie some nodes apart have"
-            " nearly the same image; std and confidence include that."
+            f"Lamp beside the map: by {beyond_map(middle, scene.shape):.3g} nodes, so that surfaces which lie"
+            " some nodes apart have nearly the same image; std and confidence include that."
         )
     for light in lights:
         if (width := _width_of(light)) < NARROW:
@@ -114,21 +114,23 @@ def _width_of(light: sources.Source) -> float:
     return math.inf
 
 
-def lamp_beside(scene: Scene, lights: Sequence[sources.Source]) -> float:
-    """How far [nodes] the one lamp stands beside a map with open sides, by its middle; else 0.
+def lamp_beside(shape: tuple[int, int], sides: str, lights: Sequence[sources.Source]) -> np.ndarray | None:
+    """The middle (3,) [nodes] of the one lamp, if its foot lies beside a map with open sides; else None.
 
     ``lights``: in nodes.
     """
     light = lights[0]
-    if scene.sides != "open" or len(lights) > 1 or not isinstance(light, sources.Lamp):
-        return 0.0
+    if sides != "open" or len(lights) > 1 or not isinstance(light, sources.Lamp):
+        return None
     middle = light.center
     if light.corner is not None and light.edges is not None:
         middle = light.corner + np.sum(light.edges, 0) / 2
-    if middle is None:
-        return 0.0
-    beyond = [max(-at, at - (n - 1), 0.0) for at, n in zip(middle, scene.shape[::-1])]
-    return math.hypot(*beyond)
+    return None if middle is None or not beyond_map(middle, shape) else np.asarray(middle, float)
+
+
+def beyond_map(place: Any, shape: tuple[int, int]) -> float:
+    """How far [nodes] a place (x, y, ...) lies beside the map; 0 above it."""
+    return math.hypot(*(max(-at, at - (n - 1), 0.0) for at, n in zip(place, shape[::-1])))
 
 
 def of_largest(image: np.ndarray, light: sources.Source, albedo: Any) -> list[str]:

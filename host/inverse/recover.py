@@ -49,11 +49,6 @@ DIRECT_SHARE = 0.25
 # eleven images with light between surfaces (28 to 40 nodes a side) that light left at most 0.0007; of direct
 # images, where it did not explain them too, 0.0027 and more. Without it two of the eleven are called direct
 MODEL_RESIDUAL = 6e-4
-# standard deviation [node] by which one lamp beside a map with open sides leaves the depth of the whole open,
-# or a quarter of the permitted range, if less. Chosen: of six drawn surfaces of 40 x 40 nodes (lamps 20 to 45
-# nodes beside) one was 0.2 off and five 2.1 to 3.2, others of 48 to 64 nodes 5.3, all nodes alike; with half
-# of it the latter are beyond 2 std, with twice all lie within 1
-BESIDE_STD = 4.0
 LEAST_RESIDUAL = 1e-12  # that another is divided by
 
 
@@ -501,10 +496,7 @@ def _recovery(
         answer.warnings.extend(diagnostics.of_unit(_usual_albedo(answer), True))
     rivals = search.rivals_of(level, z)
     judged = judgement_of(search.multigrid, level, z, rivals, search.comparing, depth_range)
-    std = judged.std
-    if diagnostics.lamp_beside(scene, pyramid.sources):
-        std = np.hypot(std, min(BESIDE_STD, depth_range / 4))
-    confidence = confidence_of(std, depth_range)
+    confidence = confidence_of(judged.std, depth_range)
     ambiguous = np.isfinite(judged.others).any(0) & (confidence < UNTRUSTED)
 
     for finer in range(level - 1, -1, -1):
@@ -533,7 +525,7 @@ def _recovery(
         seconds=spent(),
         compile_seconds=pyramid.engine.compile_seconds - compiled,
         warnings=warnings,
-        std=(std * scene.spacing).astype(np.float32),
+        std=(judged.std * scene.spacing).astype(np.float32),
         confidence=confidence.astype(np.float32),
         candidates=np.concatenate([depth[None], (judged.others * scene.spacing).astype(np.float32)]),
         ambiguous=ambiguous,
