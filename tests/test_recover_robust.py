@@ -17,10 +17,11 @@ import skylamp as sl
 from skylamp.backends import select
 from skylamp.inverse import search
 from skylamp.inverse.by_light import by_light
-from skylamp.inverse.confidence import confidence_of, moved_alike
+from skylamp.inverse.confidence import confidence_of
 from skylamp.inverse.descent import Descent, Solution
 from skylamp.inverse.finer_model import refit_of
 from skylamp.inverse.multigrid import Multigrid
+from skylamp.inverse.place import moved_alike
 from skylamp.inverse.posterior import posterior_deviation
 from skylamp.inverse.pyramid import Pyramid
 from skylamp.inverse.resampling import blurred
@@ -691,7 +692,7 @@ def test_no_time_for_light_between_surfaces_is_said(fast):
     + [(-20.0, "dark", False, False)],
 )
 def test_a_lamp_beside_the_map_is_told(x, sides, is_told, is_open):
-    """Surfaces 5 nodes off explain its image, and std was 0.2. Beside it by much less than its height the lamp
+    """Surfaces 5 nodes off explain its image, and std was 0.2. A lamp much higher than it is far from the map
     tells of the depth.
     """
     corner, edges = (x - 2, 8.0, -30.0), ((4.0, 0, 0), (0, 4.0, 0))
@@ -722,7 +723,9 @@ def test_how_surfaces_move_beside_a_lamp_while_the_image_stays_the_same():
     assert moved.max() == 1 and 0.5 < moved.min() < 0.95
     inside = np.s_[1:-1, 1:-1]  # normals at the border are one-sided
     own = image(z)
-    alike, evenly = (np.sqrt(np.mean((image(z + by / 2) - own)[inside] ** 2)) for by in (moved, np.ones_like(z)))
+    alike, evenly = (
+        np.sqrt(np.mean((image(z + by / 2) - own)[inside] ** 2)) for by in (moved, np.ones_like(z))
+    )
     assert alike < 0.15 * evenly
     for sides, light in (("dark", lamp), ("dark", sl.Sky()), ("open", sl.Lamp((3.0, 3.0, -16.0), 3.0))):
         assert moved_alike(Pyramid(select("numpy"), images, [light], 0.8, sides, *bounds), 0, z) is None

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..sources import Lamp, Sky, Window
-from . import diagnostics
+from ..sources import Lamp, Window
 from .albedo import PRIOR_WEIGHT
 from .creases import errors_at_creases
 from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
+from .place import moved_alike
 from .posterior import posterior_deviation, posterior_samples, shift_by
 from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid
 from .resampling import blurred, doubled, halved, halved_depth
@@ -191,31 +191,6 @@ def by_place(judged: Judged) -> np.ndarray:
     up, down = min(0.0, float(up.max())), max(0.0, float(down.min()))
     variance: np.ndarray = moved**2 * (up**2 + up * down + down**2) / 3
     return variance
-
-
-def moved_alike(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray | None:
-    """How far (rows, cols) z, on grid ``level``, may move at each node, over the most of all nodes, while the
-    images stay the same; None if it may not.
-
-    Skies tell nothing of the place, unless the sides are dark: the surface moves as a whole.
-
-    A small lamp at the height h above the ground, and at the horizontal distance r from it, casts
-    E = (h - r dh/dr) / (r^2 + h^2)^(3/2), but for a factor near 1 at gentle slopes. Along every line from the
-    lamp's foot this is a differential equation for h. A foot within the map makes its solution unique; from a
-    foot beside the map there is one for every height at the map's border. Of neighbouring solutions the
-    difference d obeys r dd/dr = (1 - 3 h^2 / (r^2 + h^2)) d, so d is in proportion to (r^2 + h^2)^(3/2) / r^2
-    where h changes slowly.
-    """
-    if pyramid.sides != "dark" and all(isinstance(light, Sky) for light in pyramid.sources):
-        return np.ones(z.shape)
-    middle = diagnostics.lamp_beside(pyramid.shape(0), pyramid.sides, pyramid.sources)
-    if middle is None:
-        return None
-    rows, cols = (((np.arange(n) + 0.5) * 2**level - 0.5) for n in z.shape)
-    square = (cols - middle[0]) ** 2 + (rows[:, None] - middle[1]) ** 2
-    height = float(np.mean(z)) * 2**level - middle[2]
-    moved: np.ndarray = (square + height**2) ** 1.5 / square
-    return moved / float(moved.max())
 
 
 def by_rivals(judged: Judged) -> np.ndarray:

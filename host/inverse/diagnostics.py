@@ -12,6 +12,7 @@ from .. import sources
 from ..scene import Scene
 from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
+from .place import beyond_map, lamp_beside
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
@@ -112,25 +113,6 @@ def _width_of(light: sources.Source) -> float:
     if isinstance(light, sources.Lamp) and light.edges is not None:
         return min(math.hypot(*edge) for edge in light.edges)
     return math.inf
-
-
-def lamp_beside(shape: tuple[int, int], sides: str, lights: Sequence[sources.Source]) -> np.ndarray | None:
-    """The middle (3,) [nodes] of the one lamp, if its foot lies beside a map with open sides; else None.
-
-    ``lights``: in nodes.
-    """
-    light = lights[0]
-    if sides != "open" or len(lights) > 1 or not isinstance(light, sources.Lamp):
-        return None
-    middle = light.center
-    if light.corner is not None and light.edges is not None:
-        middle = light.corner + np.sum(light.edges, 0) / 2
-    return None if middle is None or not beyond_map(middle, shape) else np.asarray(middle, float)
-
-
-def beyond_map(place: Any, shape: tuple[int, int]) -> float:
-    """How far [nodes] a place (x, y, ...) lies beside the map; 0 above it."""
-    return math.hypot(*(max(-at, at - (n - 1), 0.0) for at, n in zip(place, shape[::-1])))
 
 
 def of_largest(image: np.ndarray, light: sources.Source, albedo: Any) -> list[str]:
