@@ -16,6 +16,7 @@ import numpy as np
 
 from . import sources
 from .backends.base import Array, Backend
+from .backends.resident import gather
 from .constants import NONE, STEEP
 from .light.far import CLIFF
 from .scene import Scene
@@ -125,7 +126,7 @@ class Samples:
             col, row = (x + i) % self.cols, (y + j) % self.rows
             on_map = self.periodic | ((col == x + i) & (row == y + j))
             moved.append(np.where(on_map, row * self.cols + col, -1))
-        self.own, left, right, above, below = _gather(self.engine, self.heights, np.stack(moved), float(NONE))
+        self.own, left, right, above, below = gather(self.engine, self.heights, np.stack(moved), float(NONE))
         self.gx, self.gy = (_slope(low, self.own, high) for low, high in ((left, right), (above, below)))
         self.length = np.sqrt(1 + self.gx**2 + self.gy**2)
 
@@ -229,23 +230,11 @@ class Samples:
         high: Values = STEEP
         if window is not None:
             x0, x1, y0, y1 = window
-            with np.errstate(divide="ignore", invalid="ignore"):
-                sides = [
-                    np.sort(
-                        [
-                            np.where(
-                                a == 0, np.where((at >= lo) & (at < hi), s * np.inf, np.inf), (end - at) / a
-                            )
-                            for end, s in ((lo, -1), (hi, 1))
-                        ],
-                        0,
-                    )
-                    for a, at, lo, hi in ((cosine, self.x, x0, x1), (sine, self.y, y0, y1))
-                ]
-            near, far = (
-                np.maximum(0, np.maximum(sides[0][0], sides[1][0])),
-                np.minimum(sides[0][1], sides[1][1]),
-            )
+            # 1e-30: a ray along a side meets it beyond any map, or never leaves it
+            ways = np.where(np.stack([cosine, sine]) == 0, 1e-30, [cosine, sine])
+            at, ends = np.stack([self.x, self.y])[:, None], np.reshape([x0, y0, x1, y1], (2, 2, 1, 1))
+            sides = np.sort((ends - at) / ways, 0)
+            near, far = np.maximum(0, sides[0].max(0)), sides[1].min(0)
             with np.errstate(divide="ignore", invalid="ignore"):
                 passes = (near < far) & (self.own < 0)
                 low = np.where(passes, np.maximum(low, np.clip(-self.own / far, 0, STEEP)), STEEP)
@@ -375,7 +364,7 @@ def without_walls(samples: Samples) -> Samples:
 def picked(samples: Samples, images: Array, number: int = 0) -> np.ndarray:
     """Image ``number`` of some (rows, cols) float32 on the device at the samples, float32."""
     at = (number * samples.rows + samples.y) * samples.cols + samples.x
-    return _gather(samples.engine, images, at, math.nan)
+    return gather(samples.engine, images, at, math.nan)
 
 
 def _kept(samples: Samples, key: tuple[str, bytes, float], made: Callable[[], np.ndarray]) -> np.ndarray:
@@ -387,13 +376,6 @@ def _kept(samples: Samples, key: tuple[str, bytes, float], made: Callable[[], np
             traced.pop(next(iter(traced)))
         traced[key] = values
     return traced[key]
-
-
-def _gather(engine: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:
-    """Elements of a device array; ``missing`` where the number is negative."""
-    given, picked = engine.table(at.astype(np.int32).ravel()), engine.empty((at.size,), np.float32)
-    engine.launch("pilot", "pick", (at.size,), values, given, picked, at.size, missing, lanes=1)
-    return engine.download(picked).reshape(at.shape)
 
 
 def _wall(samples: Samples, cosine: Values, sine: Values) -> np.ndarray:
@@ -485,11 +467,8 @@ def _sequence_nodes(scene: Scene, count: int, first: int) -> tuple[np.ndarray, n
         if len(good) == count:
             return x[good], y[good]
     valid = np.arange(rows * cols) if scene.mask is None else np.flatnonzero(scene.mask)
-    valid = (
-        valid[np.unique(np.linspace(0, len(valid) - 1, count).astype(int))]
-        if len(valid) > 2 * count
-        else valid
-    )
+    if len(valid) > 2 * count:
+        valid = valid[np.linspace(0, len(valid) - 1, count).astype(int)]
     return valid % cols, valid // cols
 
 

@@ -683,20 +683,23 @@ def lazily(work: Work, scene: Scene, layout: Layout, *leading: int) -> Any:
     numbers = [da.from_array(np.arange(len(parts)), chunks=1), "a"] if leading else [0, None]
     sizes: dict[str, Any] = {"a": tuple(part.stop - part.start for part in parts if part is not None)}
     albedo, varying = albedo_of(scene)
+    surface: tuple[Any, Any] = (albedo, None)
     if layout.single:
-        surface = (albedo, None) if varying is None else (varying.rechunk(-1), "cij"[3 - varying.ndim :])
+        if varying is not None:
+            surface = varying.rechunk(-1), "cij"[3 - varying.ndim :]
         call = partial(_whole, work, layout, scene.sides, parts)
         arrays = [heights.rechunk(-1), "ij", *numbers, *surface]
         mapped = _blockwise(da, call, axes, *arrays, adjust_chunks=sizes)
     else:
-        sums = _lazy_sums(da, work, heights, albedo, varying, layout) if layout.undecided else None
+        if varying is not None:
+            varying = varying.rechunk({0: -1} | dict(enumerate(layout.sizes, varying.ndim - 2)))
+            surface = varying, "cij"[3 - varying.ndim :]
+        sums = _lazy_sums(da, work, heights, surface, layout) if layout.undecided else None
         low, top, again = _overviews(da, heights, layout, sums)
         edges = _Edges(da, layout, heights.rechunk(layout.sizes), low)
         low = None if low is None else edges.around(da, 1, low)
-        surface = (albedo, None)
         if varying is not None:
-            varying = varying.rechunk({0: -1} | dict(enumerate(layout.sizes, varying.ndim - 2)))
-            surface = _Edges(da, layout, varying).around(da, 0, varying), "cij"[3 - varying.ndim :]
+            surface = _Edges(da, layout, varying).around(da, 0, varying), surface[1]
         rows, cols = (da.from_array(np.arange(len(sizes)), chunks=1) for sizes in layout.sizes)
         sizes |= dict(zip("ij", layout.sizes))
         call = partial(_block, work, layout, parts)
@@ -827,21 +830,18 @@ def _parts(layout: Layout, *leading: int) -> list[slice | None]:
 
 
 def _lazy_sums(
-    da: Any, work: Work, heights: Any, albedo: Any, varying: Any, layout: Layout
+    da: Any, work: Work, heights: Any, surface: tuple[Any, Any], layout: Layout
 ) -> Any:  # a dask.delayed.Delayed
     """What :class:`Undecided` work is decided by."""
     from dask.delayed import delayed
 
-    arrays = [heights.rechunk(layout.sizes), "ij"]
-    if varying is not None:
-        colours = {0: -1} if varying.ndim == 3 else {}
-        sizes = colours | dict(enumerate(layout.sizes, varying.ndim - 2))
-        arrays += [varying.rechunk(sizes), "cij"[3 - varying.ndim :]]
     sums = _blockwise(
         da,
-        partial(_block_sums, work, layout.spacing, albedo),
+        partial(_block_sums, work, layout.spacing),
         "ijab",
-        *arrays,
+        heights.rechunk(layout.sizes),
+        "ij",
+        *surface,
         dtype=np.float64,
         new_axes={"a": (work.colours,), "b": (3,)},  # type: ignore[attr-defined]  # it is Undecided
         adjust_chunks={"i": 1, "j": 1},
@@ -850,10 +850,8 @@ def _lazy_sums(
     return delayed(total, pure=True)(sums.rechunk(-1).to_delayed(optimize_graph=False).item())
 
 
-def _block_sums(
-    work: Work, spacing: float, one: Any, heights: np.ndarray, varying: np.ndarray | None = None
-) -> np.ndarray:
-    return sums_of_tile(work, spacing, heights, one if varying is None else varying)[None, None]
+def _block_sums(*given: Any) -> np.ndarray:
+    return sums_of_tile(*given)[None, None]
 
 
 def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple[Any, Any, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 from . import sources
 from .backends import select
 from .backends.base import within
+from .backends.resident import upload
 from .checks import one_of, positive_number, whole_number
 from .directions import Hemicube
 from .errors import CapacityError, bad
@@ -94,8 +95,9 @@ def visibility_field(
         raise bad("progress", repr(progress), "a function of (layers done, layers), or None")
     is_scene(scene)
     depth, step = scene.layers()
+    known = depth[scene.valid]
     if layers is None:
-        layers = int(depth[scene.valid].max()) + 1
+        layers = int(known.max()) + 1
     layers = whole_number(layers, "layers", 1)
     rim = 2 * cube.reach  # that propagation needs
     needed = 4 * cube.words * (layers + cube.reach) * (scene.shape[0] + rim) * (scene.shape[1] + rim)
@@ -106,8 +108,10 @@ def visibility_field(
             " layers, a smaller hemicube or a coarser map."
         )
     engine = select(backend)
-    problem = Problem(depth, step, scene.sides, cube.steps, sources.geometry(source, scene, step))
+    geometry = sources.geometry(source, scene, step)
     with engine.lock, within(max_seconds, "visibility_field", engine):
+        there = upload(engine, depth, step, float(known.min()), float(known.max()))
+        problem = Problem(there, step, scene.sides, cube.steps, geometry)
         words = propagation.field(engine, problem, layers, progress)
     return VisibilityField(words, cube, scene, source, depth, engine.name)
 

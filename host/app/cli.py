@@ -657,13 +657,6 @@ ADVICE = {
 }
 
 
-def _one_line(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
-) -> str:
-    """A warning without the place in the code that gives it."""
-    return f"skylamp: warning: {message}\n"
-
-
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; ``arguments`` default to the process's own."""
     # of closed streams, whose numbers the files of the command would get else
@@ -672,7 +665,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     for library, level in (("tifffile", logging.ERROR), ("rasterio", logging.CRITICAL)):
         logging.getLogger(library).setLevel(level)
     as_usual = warnings.formatwarning
-    warnings.formatwarning = _one_line
+    # without the place in the code that gives it
+    warnings.formatwarning = lambda message, *_, **__: f"skylamp: warning: {message}\n"
     try:
         app(arguments, prog_name="skylamp")
     except Exception as error:

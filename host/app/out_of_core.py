@@ -316,7 +316,7 @@ def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
 
 
 def _reduce(job: Job, number: int) -> None:
-    """Overviews of a tile at the first level that is looked at, and whether it has light between surfaces."""
+    """Overviews of a tile at the first level that is looked at, and its part in what all tiles decide."""
     group, box = _held(job), list(job.layout.boxes())[number]
     first, window = job.layout.tiling.first, _window(job, box, [0, 0])
     if job.layout.undecided:

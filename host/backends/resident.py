@@ -173,10 +173,7 @@ class Resident(NamedTuple):
 
     def pick(self, nodes: np.ndarray) -> np.ndarray:
         """Depths at nodes, numbered row by row."""
-        given = self.backend.upload(nodes.astype(np.int32).ravel())
-        picked, count = self.backend.empty((nodes.size,), np.float32), nodes.size
-        self.backend.launch("pilot", "pick", (count,), self.depth, given, picked, count, math.inf, lanes=1)
-        return self.backend.download(picked).reshape(nodes.shape)
+        return gather(self.backend, self.depth, nodes, math.inf)
 
     def copy_into(self, depth: Array) -> None:
         """Copy the map to the first elements of a device array."""
@@ -190,6 +187,13 @@ class Resident(NamedTuple):
             self.derived["survey",] = survey(self.backend, self.depth, self.shape, self.step)
         surveyed: Survey = self.derived["survey",]
         return surveyed
+
+
+def gather(backend: Backend, values: Array, at: np.ndarray, missing: float) -> np.ndarray:
+    """Elements of a device array; ``missing`` where the number is negative."""
+    given, picked = backend.table(at.astype(np.int32).ravel()), backend.empty((at.size,), np.float32)
+    backend.launch("pilot", "pick", (at.size,), values, given, picked, at.size, missing, lanes=1)
+    return backend.download(picked).reshape(at.shape)
 
 
 def adopt(

@@ -6,6 +6,7 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Backend
+from ..backends.resident import upload
 from ..directions import Hemicube
 from ..light.propagation import Problem, Progress, carve
 from ..scene import Scene
@@ -39,7 +40,7 @@ def carved_layers(
     if isinstance(source, sources.Lamp) and source.volume is not None:
         deepest = np.full(image.shape, float(layers) * start.spacing)
         scene = Scene(deepest, start.spacing, start.albedo, None, start.sides)
-    flat = np.zeros(image.shape, np.float32)
+    flat = upload(engine, np.zeros(image.shape, np.float32), 1.0, 0.0, 0.0)
     problem = Problem(flat, 1.0, start.sides, cube.steps, sources.geometry(source, scene, 1.0))
     return carve(engine, problem, low, high, weights, layers, stop == "sign", progress)
 

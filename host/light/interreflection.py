@@ -101,20 +101,6 @@ class Planes:
         size = azimuths, tables[1].shape[1], *self._layout, SIDES[self.sides], *grid
         self.engine.launch("interreflection", "gather", dim, *maps, *size, highest, LIGHTS=self.lights)
 
-    def _gather_nodes(
-        self,
-        azimuths: int,
-        tables: Sequence[Array],
-        known: tuple[Array, Array, Array],
-        every: bool,
-        highest: float,
-    ) -> None:
-        """``known``: direct light, share of sky, and the irradiance that is found."""
-        dim = -(-self.across // self.engine.lanes), 1 << self.shift, self.shape[0]
-        maps = self.heights, self.light, *tables, *known
-        size = azimuths, tables[1].shape[1], *self._layout, SIDES[self.sides], int(every)
-        self.engine.launch("interreflection", "gather_nodes", dim, *maps, *size, highest, LIGHTS=self.lights)
-
 
 class Strips(Planes):
     """Strips of ground visible from every node of a surface, for ground of known radiance.
@@ -282,8 +268,10 @@ class Bounces(Planes):
             given = self.heights, sums, self.direct, self.sky, self.total, *common, *grid
             engine.launch("interreflection", "fill", dim, *given, group=GROUP, LIGHTS=self.lights)
         if this.stride == 1 or self.valid is not None:
-            known = self.direct, self.sky, self.total
-            self._gather_nodes(this.azimuths, tables, known, this.stride == 1, self.highest)
+            nodes = -(-self.across // engine.lanes), 1 << self.shift, rows
+            maps = self.heights, self.light, *tables, self.direct, self.sky, self.total
+            size = this.azimuths, tables[1].shape[1], *common, int(this.stride == 1), self.highest
+            engine.launch("interreflection", "gather_nodes", nodes, *maps, *size, LIGHTS=self.lights)
         engine.finish()  # sums may be freed
 
     def irradiance(self) -> list[np.ndarray]:

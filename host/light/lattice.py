@@ -9,7 +9,6 @@ import numpy as np
 
 from .. import sources
 from ..backends.base import Backend
-from ..backends.resident import Resident
 from ..directions import Hemicube
 from ..samples import Samples
 from ..scene import Scene
@@ -180,12 +179,8 @@ def _passes(scene: Scene, source: sources.Window, x: np.ndarray, y: np.ndarray) 
     inside = (x >= -0.5) & (x < cols - 0.5) & (y >= -0.5) & (y < rows - 0.5)
     if source.aperture is not None:
         col, row = np.floor(x + 0.5).astype(np.int64), np.floor(y + 0.5).astype(np.int64)
-        if scene.sides == "periodic":
-            repeated: np.ndarray = source.aperture[row % rows, col % cols]
-            return repeated
-        there = source.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
-        within: np.ndarray = inside & there
-        return within
+        there: np.ndarray = source.aperture[row % rows, col % cols]
+        return there if scene.sides == "periodic" else inside & there
     assert source.x is not None and source.y is not None, "a window without aperture is a rectangle"
     passes: np.ndarray = inside if scene.sides == "dark" else np.ones(inside.shape, bool)
     for at, (low, high), period in ((x, source.x, cols), (y, source.y, rows)):
@@ -251,7 +246,6 @@ def _leak(problem: Problem, cube: Hemicube) -> list[str]:
     """A warning where unfilled steps jump over ridges."""
     if problem.filled or cube.size < LEAK_SIZE:
         return []
-    assert isinstance(problem.depth, Resident), "a scene's map lies on the device"
     surveyed = problem.depth.survey()
     square = (
         sum(total / max(1, count) for total, count in zip(surveyed.squares, surveyed.pairs)) / problem.step**2
@@ -291,11 +285,8 @@ def _small_lamp(scene: Scene, source: sources.Source, cube: Hemicube) -> list[st
         return []
     rows, cols = scene.shape
     (x, y, z), radius = ball
-    far = np.sqrt(
-        (max(abs(x), abs((cols - 1) * scene.spacing - x))) ** 2
-        + max(abs(y), abs((rows - 1) * scene.spacing - y)) ** 2
-        + (scene.deepest - z) ** 2
-    )
+    right, low = (cols - 1) * scene.spacing, (rows - 1) * scene.spacing
+    far = math.hypot(max(abs(x), abs(right - x)), max(abs(y), abs(low - y)), scene.deepest - z)
     spacing = np.sqrt(2 * np.pi / len(cube))
     apparent = 2 * np.arcsin(radius / far if radius < far else 1.0)  # far: 0 where the map is one node
     if apparent < 2 * spacing:

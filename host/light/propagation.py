@@ -36,12 +36,12 @@ class Lobe(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The input of a backend: depth (rows, cols) float32, +inf where masked, on the host or on the device.
+    """The input of a backend: depth (rows, cols) float32, +inf where masked, on the device.
 
     Depth is in a unit in which the spacing is ``step``; ``steps`` (D, 3): the directions.
     """
 
-    depth: np.ndarray | Resident
+    depth: Resident
     step: float
     sides: str
     steps: np.ndarray
@@ -53,22 +53,8 @@ class Problem(NamedTuple):
         return math.prod(self.depth.shape)
 
     @property
-    def host_depth(self) -> np.ndarray:
-        """Depth on the host, where it is brought if need be."""
-        return self.depth.download() if isinstance(self.depth, Resident) else self.depth
-
-    @property
     def relief(self) -> float:
-        if isinstance(self.depth, Resident):
-            return self.depth.most - self.depth.least
-        finite = self.depth[np.isfinite(self.depth)]
-        return float(finite.max()) - float(finite.min())
-
-    @property
-    def deepest(self) -> float:
-        if isinstance(self.depth, Resident):
-            return self.depth.most
-        return float(self.depth[np.isfinite(self.depth)].max())
+        return self.depth.most - self.depth.least
 
     @property
     def clips(self) -> bool:
@@ -119,7 +105,7 @@ class Surface:
         groups = walk_groups(steps, problem.depth.shape, followed, *how)
         _check_search(backend, problem, relief, groups)
         if problem.geometry.is_lamp:
-            _check_rays(backend, problem, problem.deepest, 1, "visibility")
+            _check_rays(backend, problem, problem.depth.most, 1, "visibility")
         self.maps = self._maps()
         self.depth = backend.view(self.maps, problem.depth.shape)
         self.planes = backend.empty((max(g.n_walks + len(g.pairs) for g in groups), self.room), np.uint8)
@@ -127,18 +113,13 @@ class Surface:
         self.flags = backend.table(problem.geometry.flags)
         self.groups = [self._upload(group) for group in groups]
         self.turn()
-        self.find_laps(problem.host_depth if self.periodic else None)
+        self.find_laps(problem.depth.download() if self.periodic else None)
 
     def _maps(self) -> Array:
         """The map and room for the same turned, (2, room) float32."""
-        depth, backend = self.problem.depth, self.backend
-        if isinstance(depth, Resident):
-            both = backend.empty((2, self.room), np.float32, 0)
-            depth.copy_into(both)
-            return both
-        maps = np.zeros((2, self.room), np.float32)
-        maps[0, : depth.size] = depth.ravel()
-        return backend.upload(maps)
+        both = self.backend.empty((2, self.room), np.float32, 0)
+        self.problem.depth.copy_into(both)
+        return both
 
     @property
     def periodic(self) -> bool:
@@ -154,9 +135,7 @@ class Surface:
         for _, j, _, _, _, _, turned, _ in group.walks.tolist():
             rows, cols = self.problem.depth.shape[:: -1 if turned else 1]
             lines = max(lines, min(abs(j), rows) * -(-cols // self.backend.lanes))
-        steps = np.concatenate(
-            [self.problem.steps[group.directions] * [1, 1, -1], group.directions[..., None]], -1
-        ).astype(np.int32)
+        steps = _numbered(self.problem.steps)[group.directions]
         points = [crossings_of(i, j, self.problem.filled)[0] for i, j in steps[:, 0, :2].tolist()]
         counts = np.array([len(p) for p in points])
         spans = np.stack([np.cumsum(counts) - counts, counts], 1).astype(np.int32)
@@ -308,7 +287,7 @@ class FieldByLayers:
         self.offsets = backend.upload(
             np.stack([steps[:, 2], steps[:, 1] * self.width + steps[:, 0]], 1).astype(np.int32)
         )
-        self.depth = backend.upload(problem.host_depth)
+        self.depth = problem.depth.depth
         # A sky fills the space outside the map; level rays end at walls and in a window's plane.
         self.field = backend.empty(
             (layers + self.reach, self.words, self.height, self.width),
@@ -318,7 +297,7 @@ class FieldByLayers:
         self.levels = backend.empty((self.n_level, rows, cols), np.float32, -1 if problem.clips else None)
         ways = problem.steps[level, :2].tolist()
         lap = (
-            lap_table(problem.host_depth, ways, False)
+            lap_table(problem.depth.download(), ways, False)
             if problem.sides == "periodic"
             else np.zeros((1, 1), np.float32)
         )
@@ -364,8 +343,8 @@ def _field_of_lamp(backend: Backend, problem: Problem, layers: int) -> np.ndarra
     steps = _numbered(problem.steps)
     nodes = np.array([crossings_of(i, j, False)[0][0] for i, j, _ in problem.steps.tolist()], np.int32)
     spans = np.stack([np.arange(len(steps)), np.ones(len(steps))], 1).astype(np.int32)
-    tables = problem.host_depth, steps, nodes, spans, geometry.numbers, geometry.flags
-    there = [backend.upload(table) for table in tables]
+    tables = steps, nodes, spans, geometry.numbers, geometry.flags
+    there = [problem.depth.depth, *map(backend.upload, tables)]
     field = backend.empty((layers, words, *problem.depth.shape), np.uint32)
     source = len(geometry.flags), geometry.kind, SIDES[problem.sides]
     size = *problem.depth.shape, *source, words, len(steps), layers
@@ -420,10 +399,10 @@ def carve(
     by_sign: bool,
     progress: Progress | None = None,
 ) -> np.ndarray:
-    """Depth in layers (rows, cols) int32 by the inverse algorithm; arguments as of skylamp.oracle.carve."""
-    surface = Surface(
-        backend, problem._replace(depth=np.zeros(problem.depth.shape, np.float32)), relief=float(layers)
-    )
+    """Depth in layers (rows, cols) int32 by the inverse algorithm, from the depth 0 of the ``problem`` on;
+    arguments as of skylamp.oracle.carve.
+    """
+    surface = Surface(backend, problem, relief=float(layers))
     pixels = problem.pixels
     light, side = (backend.empty((pixels,), np.int32, 0) for _ in range(2))
     bounds = [backend.upload(a.astype(np.int32).ravel()) for a in (low, high)]

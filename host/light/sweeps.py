@@ -79,7 +79,7 @@ class Half(NamedTuple):
     tables: list[Array]  # on the device: azimuths, ways, near_at, near_weight
     heights: Array
     tilts: Array
-    table: Array
+    brightness: Array
     asked: tuple[int, ...]  # see opencl/horizon.cl
 
 
@@ -193,15 +193,15 @@ class Sweeps:
                 "ground", "tilt", dim, half.heights, half.tilts, *size, int(self.sides == "periodic")
             )
         self.tilted[half.turned] = self.kept
-        scratch = None  # the next azimuths' slopes where these are: the launches come one after another
+        slopes = None  # the next azimuths' slopes where these are: the launches come one after another
         for first, count in _batches(half, _at_once(self)):
-            scratch, known = _far_slopes(self, half, first, count, scratch)
+            slopes, known = _far_slopes(self, half, first, count, slopes)
             if half.windows[first] < ENDLESS_WINDOW:
                 if not known:
-                    scratch = backend.empty((count, half.rows * half.cols), np.float32)
-                self._sweep(half, first, count, SLOPES, known, True, scratch, sums, self.angles)
+                    slopes = backend.empty((count, half.rows * half.cols), np.float32)
+                self._sweep(half, first, count, SLOPES, known, True, slopes, sums, self.angles)
                 known = True
-            self._sweep(half, first, count, self.what, known, False, scratch, sums, self.angles)
+            self._sweep(half, first, count, self.what, known, False, slopes, sums, self.angles)
 
     def image(self) -> DeviceImage:
         """Irradiance (rows, cols) float32 [brightness x sr] on the device."""
@@ -309,7 +309,7 @@ class Sweeps:
         )
         lines = backend.lanes * backend.strips * backend.lines
         groups = -(-(half.cols + overhang) // lines)
-        maps = half.heights, half.tilts, *half.tables, half.table, slopes, sums, *rising, *falling
+        maps = half.heights, half.tilts, *half.tables, half.brightness, slopes, sums, *rising, *falling
         size = first, backend.lines, half.rows, half.cols, self.margin, self.room, self.knots, bits
         scales = self.lowest, rising_scale, falling_scale
         named: dict[str, Any] = dict(NEAR=self.near, SIDES=SIDES[self.sides], WHAT=what, FALLS=int(falls))
