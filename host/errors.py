@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Self
 
+LONGEST_VALUE = 400  # characters of a value in a message; chosen: a path of usual length is shorter
+
 
 class SkylampError(Exception):
     """Base of every error that skylamp raises on purpose."""
@@ -31,8 +33,13 @@ class OutOfTimeError(SkylampError, TimeoutError):
 
 
 def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
-    """An InputError with the fault, the value got, the allowed values and the fix."""
-    return InputError(f"{what}: got {got}; allowed: {allowed}." + (f" {fix}" if fix else ""))
+    """An InputError with the fault, the value got (in one line, cut short), the allowed values and the fix."""
+    text = str(got)
+    if "\n" in text:  # an array
+        text = " ".join(text.split())
+    if len(text) > LONGEST_VALUE:
+        text = f"{text[:LONGEST_VALUE]} ..."
+    return InputError(f"{what}: got {text}; allowed: {allowed}." + (f" {fix}" if fix else ""))
 
 
 def lacking(what: str, package: str, extra: str, error: ImportError) -> InputError:

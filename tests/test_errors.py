@@ -97,6 +97,14 @@ SCENES = {
 VOLUME = np.zeros((3, 4, 6), bool)
 VOLUME[2] = True
 SOURCES = {
+    "a function that returns a brightness": (
+        lambda: sl.Sky(sl.cie_overcast),
+        ["brightness: got the function cie_overcast itself", "Call it: cie_overcast(...)."],
+    ),
+    "an array for a number": (
+        lambda: sl.uniform(np.ones((90, 3))),
+        ["brightness: got array([[1., 1., 1.], ["],
+    ),
     "brightness negative": (lambda: sl.Sky(-1), ["brightness", "got -1.0", ">= 0"]),
     "brightness NaN": (lambda: sl.Sky(np.nan), ["brightness", "got nan"]),
     "brightness infinite": (

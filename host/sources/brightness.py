@@ -7,6 +7,7 @@ section 4).
 
 from __future__ import annotations
 
+import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -407,6 +408,12 @@ def brightness_number(value: Any, name: str = "brightness") -> float:
 def checked(value: Any) -> Any:
     """A number, three numbers or a function, checked."""
     if callable(value):
+        # brightness functions of this package are objects; its functions return them
+        if inspect.isfunction(value) and value.__module__.startswith(__package__):
+            name = value.__name__
+            raise bad(
+                "brightness", f"the function {name} itself", "what it returns", f"Call it: {name}(...)."
+            )
         return value
     try:
         is_colour = np.shape(value) == (3,)
