@@ -33,7 +33,7 @@ class OutOfTimeError(SkylampError, TimeoutError):
 
 
 def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
-    """An InputError with the fault, the value got (in one line, cut short), the allowed values and the fix."""
+    """An InputError: the fault, the value got (in one line, cut short), the allowed values and the fix."""
     text = str(got)
     if "\n" in text:  # an array
         text = " ".join(text.split())
