@@ -41,7 +41,7 @@ class Rendering:
     scene was made from one, a DeviceImage if its map lies on a GPU; plan; backend (its name); seconds of the
     call without compiling, compile_seconds; warnings (one sentence each). interreflection: the decision
     about the light between surfaces. direct, reflected: with ``parts=True``, the image by direct light alone
-    (ground in mirrors is black), and the rest of it.
+    (ground in mirrors is black), and the rest of it; a tolerance is a share of the mean of both together.
     """
 
     image: np.ndarray
