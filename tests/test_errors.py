@@ -99,7 +99,7 @@ VOLUME[2] = True
 SOURCES = {
     "a function that returns a brightness": (
         lambda: sl.Sky(sl.cie_overcast),
-        ["brightness: got the function cie_overcast itself", "Call it: cie_overcast(...)."],
+        ["brightness: got the function cie_overcast itself", "Call it: cie_overcast()."],
     ),
     "an array for a number": (
         lambda: sl.uniform(np.ones((90, 3))),

@@ -408,12 +408,10 @@ def brightness_number(value: Any, name: str = "brightness") -> float:
 def checked(value: Any) -> Any:
     """A number, three numbers or a function, checked."""
     if callable(value):
-        # brightness functions of this package are objects; its functions return them
-        if inspect.isfunction(value) and value.__module__.startswith(__package__):
-            name = value.__name__
-            raise bad(
-                "brightness", f"the function {name} itself", "what it returns", f"Call it: {name}(...)."
-            )
+        name = getattr(value, "__qualname__", "")
+        if inspect.isfunction(value) and value.__module__.startswith(__package__) and "<locals>" not in name:
+            # a function of this package returns a brightness, and is none
+            raise bad("brightness", f"the function {name} itself", "what it returns", f"Call it: {name}().")
         return value
     try:
         is_colour = np.shape(value) == (3,)
