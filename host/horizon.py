@@ -23,7 +23,6 @@ from .scene import Scene, is_scene
 from .sources.tables import elevation_of
 
 LARGE = 2**28  # [byte] below which free memory is not looked up; chosen: that takes .15 ms
-DEFINITIONS = ("tilted", "horizontal", "solid_angle")
 SLOPE = Quantity("horizon_slope", "1", "tangent of the elevation of the horizon")
 VIEW = {
     "tilted": Quantity("sky_view_factor", "1", "sky-view factor of the tilted surface, cosine-weighted"),
@@ -171,7 +170,7 @@ def sky_view_factor(
     (rows, cols) float32 [1]
         A NumPy array, DataArray or lazy array, as the scene is.
     """
-    one_of(definition, DEFINITIONS, "definition")
+    one_of(definition, tuple(VIEW), "definition")
     scene = _scene_of(scene)
     how: dict[str, Any] = dict(azimuths=sectors_of(azimuths), backend=backend, axes=scene.axes)
     work = partial(sky_view, definition=definition, **how)

@@ -72,7 +72,7 @@ class Phong:
         _shares(self)
         try:
             exponent = float(self.exponent)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             exponent = np.nan
         if not 0 <= exponent <= MOST_EXPONENT:
             raise bad(

@@ -105,10 +105,9 @@ class Scene:
     lazy: Any = field(init=False, repr=False, default=None)
     # the depth on a device of Warp's, if it was given there
     resident: Resident | None = field(init=False, repr=False, default=None)
-    # values that the lattice methods compare, see lattice(); made on first use
     # values that the lattice methods compare, and their step: depth and the spacing, in float32; where every
     # depth is a whole number of layers, the layers and 1, which is the same comparison without any rounding.
-    # Masked nodes are +inf: they never block
+    # Masked nodes are +inf: they never block. Made on first use
     lattice: tuple[np.ndarray, float] = field(init=False, repr=False)
     _range: tuple[float, float] = field(init=False, repr=False)  # least and greatest valid depth [length]
     # by how much float32 rounds the depths that were given, if more than ROUNDED and than it need [spacings]
@@ -171,7 +170,7 @@ class Scene:
         """Keep a dask.array; only its type and shape are looked at."""
         if not height:
             raise bad("depth: a lazy map", "a dask.array of depth", "heights", "Use Scene.from_height.")
-        shape = values.shape
+        dask, shape = importlib.import_module("dask.array"), values.shape
         if values.dtype.kind not in "iuf" or len(shape) != 2 or not all(n > 0 for n in shape):
             raise bad("height", f"{values.dtype}, shape {shape}", "real numbers (rows, cols), of known size")
         values = as_promised(values, "height")
@@ -180,15 +179,15 @@ class Scene:
         if self.mask is not None:
             masks.append(_mask(self.mask, shape, lazy=True))
         for mask in masks:
-            values = importlib.import_module("dask.array").where(mask, values, values.dtype.type(np.nan))
+            values = dask.where(mask, values, values.dtype.type(np.nan))
         albedo = chunked(self.albedo)
         if albedo is None and np.ndim(self.albedo) > 1:  # where the map has no data it need not be an albedo
-            albedo = importlib.import_module("dask.array").from_array(np.asarray(self.albedo), chunks=-1)
+            albedo = dask.from_array(np.asarray(self.albedo), chunks=-1)
         if albedo is None:
             surface = _reflectance(self.albedo, self.reflectance, shape, None)
             albedo = surface.albedo
             if np.ndim(albedo) > 1:
-                albedo = importlib.import_module("dask.array").from_array(albedo, chunks=-1)
+                albedo = dask.from_array(albedo, chunks=-1)
         elif self.reflectance is not None or albedo.shape not in (shape, (*shape, 3)):
             raise bad(
                 "albedo: a map of a lazy scene",

@@ -574,7 +574,7 @@ def test_the_albedo_is_the_best_there_is(backend):
     for node in np.ndindex(z.shape):
         column, row = [[b[node]] for b in columns], [t[node] for t in rows]
         albedo[node] = np.linalg.lstsq(column, row, rcond=None)[0][0]
-    np.testing.assert_allclose(made.fitted_albedo(), albedo, rtol=1e-5)
+    np.testing.assert_allclose(made.fitted_albedo(z), albedo, rtol=1e-5)
     assert np.ptp(albedo) > 0.2
     squares = (
         sum(((albedo * b - t) ** 2).sum() for b, t in zip(bright, targets))
@@ -589,8 +589,7 @@ def test_a_product_leaves_out_what_the_albedo_makes_up_for(backend):
     """Of the images' change by depth, that part which no change of the pixel's albedo undoes."""
     made, z, bright = lit_twice(backend, (9, 11))
     made.albedo.set_prior(1.0, 0.3)
-    made.value(z, 0.0)
-    albedo = made.fitted_albedo().astype(float).ravel()
+    albedo = made.fitted_albedo(z).astype(float).ravel()
     bare = [made.backend.download(each.gain).astype(float) for each in made.images]
     J = [(albedo * gain)[:, None] * derivative(made, number) for number, gain in enumerate(bare)]
     under = sum(b.ravel() ** 2 for b in bright) + 0.3**2

@@ -97,6 +97,7 @@ SCENES = {
 VOLUME = np.zeros((3, 4, 6), bool)
 VOLUME[2] = True
 SOURCES = {
+    "a sun beyond all floats": (lambda: sl.cie_clear((10**400, 20)), ["sun: got (1000", "in degrees"]),
     "a function that returns a brightness": (
         lambda: sl.Sky(sl.cie_overcast),
         ["brightness: got the function cie_overcast itself", "Call it: cie_overcast()."],

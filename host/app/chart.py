@@ -171,9 +171,10 @@ def measure(
     progress: Callable[[int, int], None] | None = None,
     kinds: Sequence[str] = CLASSES,
 ) -> list[Row]:
-    """Rows of class, size, backend, method, units, error (relative RMS), seconds of the whole call, of it to
-    plan, and again; the plan's are ``method`` "plan", their units the tolerance, timed on a scene that is
-    new, and "again" on one that was rendered before.
+    """Rows of class, size, backend, method, units, error (relative RMS), and seconds: "seconds" of the whole
+    call, "planning" of these, and "again" of the call on a scene that was rendered before.
+
+    The default has the method "plan", and its tolerance for units.
 
     A setting but the plan's is left out if the next coarser one of its method took longer than ``longest``
     seconds a call, or would have, as the next smaller map has it.

@@ -115,16 +115,15 @@ class OpenclBackend(Backend):
         # where a GPU would else take 2.5 ulp
         self._exact = ("-cl-fp32-correctly-rounded-divide-sqrt",) if exact else ()
         self.on_cpu = bool(self._device.type & cl.device_type.CPU)
-        self.lanes = CPU_LANES if self.on_cpu else 1
         self.shares = self.on_cpu
+        self.lanes, self.pixel_lanes, self.strips, self.lines = (
+            (CPU_LANES, CPU_LANES, CPU_STRIPS, 1) if self.on_cpu else (1, GPU_PIXELS, 1, GPU_LINES)
+        )
         self.most_array_bytes = self._device.max_mem_alloc_size
         self.partial_sums = min(CPU_PARTIAL_SUMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
         self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
             CPU_LOOPS if self.on_cpu else GPU_LOOPS
         )
-        self.strips = CPU_STRIPS if self.on_cpu else 1
-        self.lines = 1 if self.on_cpu else GPU_LINES
-        self.pixel_lanes = CPU_LANES if self.on_cpu else GPU_PIXELS
         self._pool: Any = None
         if not self.on_cpu:
             self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self.queue))

@@ -151,11 +151,12 @@ class Descent:
             for image in self.images
         ]
 
-    def fitted_albedo(self) -> np.ndarray:
-        """(rows, cols) albedo at the depths that were evaluated last, as a share of what the gains stand for;
-        for an albedo that is not known.
+    def fitted_albedo(self, z: np.ndarray) -> np.ndarray:
+        """(rows, cols) albedo at depths z (rows, cols), as a share of what the gains stand for; for an albedo
+        that is not known.
         """
         assert self.albedo is not None, "the albedo is given"
+        self.value(z, 0.0)
         return self.albedo.values(self.here).reshape(self.shape)
 
     def set_bounds(self, low: np.ndarray, high: np.ndarray) -> None:

@@ -66,15 +66,9 @@ class Surface:
 def links_of(backend: Backend, pixels: int, count: int) -> tuple[DeviceArray, ...]:
     """light, held, first, second, near, far (opencl/adjoint.cl), with room for so many links of a node."""
     room = -(-pixels // LINK_BLOCK), count, LINK_BLOCK
-    arrays = (
-        ((4, pixels), np.float32),
-        ((pixels,), np.int32),
-        (room, np.int32),
-        (room, np.int32),
-        (room, np.float32),
-        (room, np.float32),
-    )
-    return tuple(backend.empty(*array) for array in arrays)
+    kinds = np.int32, np.int32, np.float32, np.float32
+    light, held = backend.empty((4, pixels), np.float32), backend.empty((pixels,), np.int32)
+    return light, held, *(backend.empty(room, kind) for kind in kinds)
 
 
 class Image:

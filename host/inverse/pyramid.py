@@ -156,8 +156,7 @@ class Pyramid:
 
     def _expect_albedo(self, level: int, z: np.ndarray) -> None:
         """Expects the median of the albedo at z everywhere, from here on."""
-        self.problem(level).value(z, 0.0)
-        self.expected_albedo = float(np.median(self.problem(level).fitted_albedo()))
+        self.expected_albedo = float(np.median(self.problem(level).fitted_albedo(z)))
         for problem in self.problems.values():
             assert problem.albedo is not None, "the albedo is not known"
             problem.albedo.set_prior(self.expected_albedo)
@@ -235,9 +234,8 @@ class Pyramid:
 
     def fix_albedo(self, level: int, z: np.ndarray) -> None:
         """Takes the albedo that is best for z on this grid for known from here on, on all grids."""
-        self.problem(level).value(z, 0.0)
+        self.albedo[level] = self.albedo[level] * self.problem(level).fitted_albedo(z)
         self.albedo_known = True
-        self.albedo[level] = self.albedo[level] * self.problem(level).fitted_albedo()
         for coarser in range(level + 1, self.coarsest + 1):
             self.albedo[coarser] = halved(self.albedo[coarser - 1])
         for finer in range(level - 1, -1, -1):
@@ -248,10 +246,10 @@ class Pyramid:
         """Takes z for the answer so far."""
         if self.best is None or self.best[0] >= level:
             self.best = level, z
-        self.problem(level).value(z, self.smoothness(level))
+        problem = self.problem(level)
+        problem.value(z, self.smoothness(level))
         if not self.albedo_known:
             self._expect_albedo(level, z)
-        problem = self.problem(level)
         misfit = sum(problem.misfits) / (problem.pixels * len(problem.images))
         residual = math.sqrt(misfit) / IMAGE_RMS
         reached = Level(z.shape, residual, time.perf_counter() - self.began)

@@ -299,8 +299,8 @@ def _carved(
     given: _Given, cube: Hemicube, eps: float, stop: str, engine: Backend, progress: Progress | None
 ) -> Recovery:
     (image,), (source,), scene = given.images, given.lights, given.scene
-    work = lambda: (carved_layers(engine, image, source, scene, given.layers, cube, eps, stop, progress),)
-    (in_layers,), seconds, compiling = timed(engine, work)
+    work = lambda: carved_layers(engine, image, source, scene, given.layers, cube, eps, stop, progress)
+    in_layers, seconds, compiling = timed(engine, work)
     drilled = in_layers >= given.layers
     depth = (in_layers * scene.spacing).astype(np.float32)
     return Recovery(
@@ -558,18 +558,11 @@ def _check_shape(light: sources.Source, sides: str) -> None:
 def _in_nodes(light: sources.Source, spacing: float) -> sources.Source:
     """A source with its lengths in nodes."""
 
-    def scaled(vector: Sequence[float] | None) -> Any:
-        return None if vector is None else tuple(part / spacing for part in vector)
+    def scaled(value: Any) -> Any:
+        return tuple(map(scaled, value)) if isinstance(value, tuple) else value and value / spacing
 
-    if isinstance(light, sources.Window):
-        return sources.Window(scaled(light.x), scaled(light.y), light.brightness)
-    if isinstance(light, sources.Lamp) and light.radius is not None:
-        return sources.Lamp(scaled(light.center), light.radius / spacing, light.brightness)
-    if isinstance(light, sources.Lamp) and light.edges is not None:
-        one, other = light.edges
-        edges = scaled(one), scaled(other)
-        return sources.Lamp(corner=scaled(light.corner), edges=edges, brightness=light.brightness)
-    return light
+    lengths = {"x", "y", "center", "radius", "corner", "edges"} & vars(light).keys()
+    return replace(light, **{name: scaled(getattr(light, name)) for name in lengths})
 
 
 def _directed(light: sources.Source) -> bool:

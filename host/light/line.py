@@ -14,8 +14,9 @@ from ..backends.base import Backend
 from ..constants import STEEP
 from ..samples import Samples, samples_of
 from ..scene import Scene
-from ..sources.integrals import GOLDEN, R2_STEPS, BrightPart, cut, without
+from ..sources.integrals import R2_STEPS, BrightPart, cut, without
 from ..sources.solids import Dome, Quad
+from ..sources.tables import GOLDEN
 from .base import HostImage
 from .slices import Slices
 from .unoccluded import Values, gradients

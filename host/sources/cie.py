@@ -221,7 +221,7 @@ def check_place(what: str, *place: Any) -> list[float]:
     """Latitude, longitude and altitude as numbers; InputError for a place that is not on Earth."""
     try:
         numbers = [float(v) for v in place]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = [np.nan]
     on_earth = np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360
     if not on_earth or not all(LOWEST <= altitude <= HIGHEST for altitude in numbers[2:]):
@@ -241,7 +241,7 @@ def towards(azimuth: float, elevation: float) -> np.ndarray:
 def _angles(sun: Any) -> tuple[float, float]:
     try:
         azimuth, elevation = (float(v) for v in sun)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         azimuth = elevation = np.nan
     if not (np.isfinite(azimuth) and 0 <= elevation <= 90):
         raise bad("sun", repr(sun), "(azimuth clockwise from north, elevation 0 to 90) in degrees")

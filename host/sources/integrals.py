@@ -23,13 +23,11 @@ import numpy as np
 from .. import sources
 from ..directions import Azimuths
 from ..locks import give_lock
-from .tables import EVALUATION_BATCH, diamond, diamond_azimuths, elevation_of, varying
+from .tables import EVALUATION_BATCH, GOLDEN, diamond, diamond_azimuths, elevation_of, varying
 
 # cells from the horizon to the zenith, and round the horizon: a disc of 0.1 degrees radius holds a sample
 ROWS, COLS = 640, 2304
 COARSE_ROWS, COARSE_COLS = 180, 576  # the same where narrow features are named: cells of half a degree
-# [cell], 1 / golden ratio: every row starts so much farther on, so that no border in azimuth runs along cells
-GOLDEN = 0.6180339887498949
 # [turn], steps of the low-discrepancy sequence R2: 1 / g and 1 / g^2 with g^3 = g + 1 (M. Roberts, 2018)
 R2_STEPS = 0.7548776662466927, 0.5698402909980532
 # second difference over the brightness from which a cell is not smooth; chosen above the 0.006 of cos^900.
@@ -294,34 +292,30 @@ class Integrals:
             leaves, self.error, total = self._divide(bands, sizes, solid, total, peaks or ())
         elif 2 * len(bands[0].light) < LIGHT_CELLS * len(image) and not math.isinf(tolerance):
             leaves = self._divide_bright(bands[0], limit)
-        parts = [band.moments for band in bands]
+        moments = np.concatenate([band.moments.reshape(2, -1) for band in bands], 1)
+        parts = np.split(moments, sizes[1:-1], 1)  # of each band
         divided = np.zeros(sizes[-1], bool)
         if leaves is not None:  # which replace the base cells that they divide
             divided[leaves.base] = True
-            for n, part in enumerate(parts):
-                here = np.s_[sizes[n] : sizes[n + 1]]
-                for values, moment in zip(part, leaves.moments):
-                    sums = np.bincount(leaves.base, moment, sizes[-1])[here].reshape(values.shape)
-                    np.copyto(values, sums, where=divided[here].reshape(values.shape))
+            sums = [np.bincount(leaves.base, moment, sizes[-1]) for moment in leaves.moments]
+            np.copyto(moments, sums, where=divided)
         self.level = float(sum(part[1].sum() for part in parts))
         bright = [] if leaves is None else [leaves.pick(leaves.light > limit)]
-        for n, band in enumerate(bands):
-            whole = ~divided[sizes[n] : sizes[n + 1]].reshape(band.light.shape)
+        for band, first in zip(bands, sizes):
+            whole = ~divided[first : first + band.light.size].reshape(band.light.shape)
             row, col = np.nonzero((band.light > limit) & whole)
-            bright.append(band.cells(row, col, sizes[n]))
+            bright.append(band.cells(row, col, first))
         bright_parts = [] if math.isinf(tolerance) else list(_bright_parts(_joined(bright), limit, widest))
         bright_parts.sort(key=lambda spot: -spot.power)
         left = np.cumsum([spot.power for spot in bright_parts][::-1])[::-1]
         least = FAINT_PARTS_SHARE * tolerance * total
         self.bright_parts = tuple(spot for spot, power in zip(bright_parts, left) if power > least)
         for spot in self.bright_parts:
-            for n, part in enumerate(parts):
-                inside = (spot.cells.base >= sizes[n]) & (spot.cells.base < sizes[n + 1])
-                for values, moment in zip(part, spot.cells.moments):
-                    np.subtract.at(values.reshape(-1), spot.cells.base[inside] - sizes[n], moment[inside])
+            for values, moment in zip(moments, spot.cells.moments):
+                np.subtract.at(values, spot.cells.base, moment)
         self.rest = float(sum(part[1].sum() for part in parts))
         self._edges = np.concatenate([[0.0], *(band.borders[1:] for band in bands)])
-        self._sums = [_cumulative(part) for part in parts]
+        self._sums = [_cumulative(part.reshape(2, *band.light.shape)) for part, band in zip(parts, bands)]
         small = [values for part in self.bright_parts for values in part.cells]
         self._nbytes = sum(part.nbytes for part in (*self._sums, *small))
         self._kept: dict[tuple[Any, ...], np.ndarray] = {}
@@ -706,6 +700,7 @@ def _of_function(function: Any, named: bool) -> list[Band]:
     bands, sky = [], sources.Sky(function)
     for n in range(5):
         rows, cols = np.flatnonzero(level == n), around >> n
+        # every row starts farther on, so that no border in azimuth runs along cells
         start, turned = 2 * math.pi / cols * (GOLDEN * rows % 1), 2 * math.pi / cols * np.arange(cols)
         out, sine = np.cos(middle[rows])[:, None], np.sin(middle[rows])[:, None]
         c, s, cosines, sines = np.cos(start)[:, None], np.sin(start)[:, None], np.cos(turned), np.sin(turned)

@@ -14,6 +14,7 @@ SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS = 2048, 192
 TABLE_KNOTS = 1024  # of a table of brightness, evenly in the diamond angle of the elevation
 TABLE_POINTS = 4  # of Gauss-Legendre quadrature between two knots
 PLACED_FROM = 2.0  # brightest azimuth over the mean from which azimuths are placed by brightness
+GOLDEN = 0.6180339887498949  # 1 / golden ratio: its multiples spread evenly over 0 to 1, modulo 1
 # directions whose brightness is evaluated at a time: more would leave the cache, fewer need more calls
 EVALUATION_BATCH = 2**13
 
@@ -44,7 +45,7 @@ def _profile(source: Source) -> np.ndarray | None:
         for most, n in zip((SAMPLE_AZIMUTHS, SAMPLE_ELEVATIONS), (4 * cols, 2 * rows))
     )
     azimuth = 2 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
-    shift = 0.6180339887498949 * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
+    shift = GOLDEN * np.arange(azimuths) % 1  # so that no small sun slips between rows of samples
     # of the elevation
     part, whole = (np.pi / 2 / elevations * a for a in (shift[:, None], np.arange(elevations)))
     sine = np.cos(part) * np.sin(whole) + np.sin(part) * np.cos(whole)

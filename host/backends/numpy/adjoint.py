@@ -23,7 +23,9 @@ ZERO, HALF, ONE = f32(0), f32(0.5), f32(1)
 def _above(
     t: np.ndarray, table: np.ndarray, row: Any, after: Any, share: Any, knots: int
 ) -> tuple[np.ndarray, ...]:
-    """c1, c2, d1, d2 as there; row, after, share: numbers or one per node."""
+    """c1, c2, d1, d2 (opencl/adjoint.cl): integrals of B sin cos and of B cos^2 over the elevations above
+    slopes t, and their derivatives by t. ``row``, ``after``, ``share``: numbers, or one per node.
+    """
     square = 1 + t * t
     cosine = 1 / square
     if knots == 0:
