@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..sources import Lamp, Window
+from ..sources import Lamp, Sky, Window
 from .albedo import PRIOR_WEIGHT
 from .creases import errors_at_creases
 from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
-from .place import moved_alike
+from .place import FreePlace, free_place
 from .posterior import posterior_deviation, posterior_samples, shift_by
 from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid
 from .resampling import blurred, doubled, halved, halved_depth
@@ -66,7 +66,8 @@ class Judged:
     SMALL nodes a side.
 
     misfit (rows, cols): mean squares of model - images around every node of the answer. rivals: other
-    answers, on this grid. refit: the surface by a finer model.
+    answers, on this grid. refit: the surface by a finer model. place: what lamps leave open of the depth of
+    the whole.
     """
 
     multigrid: Multigrid
@@ -75,6 +76,7 @@ class Judged:
     misfit: np.ndarray
     rivals: list[Rival]
     refit: Refit
+    place: FreePlace | None
 
     @property
     def share(self) -> float:
@@ -91,13 +93,15 @@ class Judged:
 class Judgement(NamedTuple):
     """std (rows, cols), the posterior standard deviation of depth, and others (n, rows, cols), other depths
     [nodes], on the finest grid. refit: the surface by a finer model, of the finest grid, or None; share: of
-    the way there from the surface that is judged, where the answer lies.
+    the way there from the surface that is judged, where the answer lies. place: what lamps leave open of the
+    depth of the whole.
     """
 
     std: np.ndarray
     others: np.ndarray
     refit: Refit | None
     share: float
+    place: FreePlace | None
 
 
 def judgement_of(
@@ -108,6 +112,7 @@ def judgement_of(
     An albedo that was not known is taken for known on the way.
     """
     pyramid = multigrid.pyramid
+    place = free_place(pyramid, float(np.mean(z)) * 2**level)
     pairs = zip(pyramid.problem(level).irradiances(z), pyramid.images[level])
     misfit = blurred(np.mean([(light - image) ** 2 for light, image in pairs], axis=0))
     small, grid = z, level
@@ -120,14 +125,14 @@ def judgement_of(
         variance = variance + by_even_albedo(pyramid, grid, small)
         pyramid.fix_albedo(level, z)
     refit = refit_of(pyramid, grid, small)
-    judged = Judged(multigrid, grid, small, misfit, rivals, refit)
+    judged = Judged(multigrid, grid, small, misfit, rivals, refit, place)
     std = np.sqrt(sum((part(judged) for part in PARTS), variance))
     others = other_depths(pyramid, grid, small, APART * depth_range)
     for finer in range(grid - 1, -1, -1):
         rows, cols = pyramid.shape(finer)
         std = 2 * doubled(std, (rows, cols))
         others = others.repeat(2, 1).repeat(2, 2)[:, :rows, :cols]
-    return Judgement(std, others, None if grid else refit, judged.share)
+    return Judgement(std, others, None if grid else refit, judged.share, place)
 
 
 def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
@@ -183,10 +188,14 @@ def by_place(judged: Judged) -> np.ndarray:
     """Variance of the place of the surface as a whole, where images tell little or nothing of it: every place
     that the bounds of depth allow is as likely.
     """
-    moved = moved_alike(judged.pyramid, judged.level, judged.z)
-    if moved is None:
+    pyramid = judged.pyramid
+    if judged.place is not None:
+        moved = judged.place.moved(judged.z.shape, 2.0**judged.level)
+    elif pyramid.sides != "dark" and all(isinstance(light, Sky) for light in pyramid.sources):
+        moved = np.ones(judged.z.shape)  # skies tell nothing of it, unless walls do
+    else:
         return np.zeros(judged.z.shape)
-    low, high = judged.pyramid.bounds[judged.level]
+    low, high = pyramid.bounds[judged.level]
     up, down = ((bound - judged.z) / moved for bound in (low, high))
     up, down = min(0.0, float(up.max())), max(0.0, float(down.min()))
     variance: np.ndarray = moved**2 * (up**2 + up * down + down**2) / 3

@@ -12,7 +12,7 @@ from .. import sources
 from ..scene import Scene
 from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
-from .place import beyond_map, lamp_beside
+from .place import FreePlace
 from .pyramid import COARSEST, IMAGE_RMS, Pyramid
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
@@ -84,11 +84,6 @@ def of_images(
                     f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours"
                     " differ by less; fine relief is lost in them."
                 )
-    if (middle := lamp_beside(scene.shape, scene.sides, lights)) is not None:
-        warnings.append(
-            f"Lamp beside the map: by {beyond_map(middle, scene.shape):.3g} nodes, so that surfaces which lie"
-            " some nodes apart have nearly the same image; std and confidence include that."
-        )
     for light in lights:
         if (width := _width_of(light)) < NARROW:
             warnings.append(
@@ -228,6 +223,22 @@ def of_confidence(
             " far=, or an image under another light."
         )
     return warnings
+
+
+def of_free_place(place: FreePlace | None, lights: int) -> list[str]:
+    """A warning where lamps leave the depth of the whole open; ``lights``: their number, with the sky."""
+    if place is None:
+        return []
+    if lights == 1:
+        return [
+            f"Lamp beside the map: by {place.beside:.3g} nodes, so that surfaces which lie some nodes apart"
+            " have nearly the same image; std and confidence include that."
+        ]
+    return [
+        "Two lights: the line through both (of a sky, from the lamp in the mean direction of its light) meets"
+        " the ground beside the map, so that surfaces which lie some nodes apart have nearly the same images"
+        " where the albedo is not known; std and confidence include that."
+    ]
 
 
 def of_place(sides: str, lights: Sequence[sources.Source]) -> list[str]:

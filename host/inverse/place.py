@@ -1,56 +1,138 @@
-"""Where images tell little or nothing of the depth of the surface as a whole."""
+"""Lamps whose images tell little or nothing of the depth of the surface as a whole."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ..sources import Lamp, Sky, Source
+from ..sources import Lamp, Sky
 from .pyramid import Pyramid
+from .resampling import blurred
+
+# share by which the heights of two lamps differ at least: else the line through both never meets the ground
+LEAST_DIFFERENCE = 1e-6
 
 
-def moved_alike(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray | None:
-    """How far (rows, cols) z, on grid ``level``, may move at each node, over the most of all nodes, while the
-    images stay the same; None if it may not.
+class Shading(NamedTuple):
+    """How light on level ground changes with the slopes there: by their product with at - per_height (x, y),
+    as a share of the light, at the place (x, y) [nodes].
 
-    Skies tell nothing of the place, unless the sides are dark: the surface moves as a whole.
+    lamp: the middle (x, y, z) of a small lamp, then ``per_height`` is 1 / (its height above the ground); None
+    for light that is the same everywhere, with 0.
+    """
+
+    per_height: float
+    at: np.ndarray
+    lamp: np.ndarray | None = None
+
+    def integral(self, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Of h / (s d^2) over the distance s from ``centre`` (2,) to places x (2, rows, cols), where the lamp
+        is h high and d away.
+        """
+        if self.lamp is None:
+            return np.zeros(x.shape[1:])
+        height, foot = 1 / self.per_height, self.lamp[:2]
+        from_centre, from_foot = x - _column(centre), x - _column(foot)
+        away, distance = np.hypot(*from_centre), np.sqrt(np.sum(from_foot**2, 0) + height**2)
+        passed, at_centre = (np.sum(from_centre / away * to, 0) for to in (from_foot, _column(centre - foot)))
+        least = np.sqrt(np.maximum(distance**2 - passed**2, height**2))  # of the line from the lamp
+        whole = np.log(away / distance) - at_centre / least * np.arctan(passed / least)
+        integral: np.ndarray = height / (float(np.sum((centre - foot) ** 2)) + height**2) * whole
+        return integral
+
+
+def _column(vector: np.ndarray) -> np.ndarray:
+    return vector[:, None, None]
+
+
+@dataclass(frozen=True, eq=False)
+class FreePlace:
+    """That images leave the depth of level ground open along lines which meet in ``centre`` (x, y) [nodes],
+    ``beside`` [nodes] the map; see :func:`free_place`.
+    """
+
+    one: Shading
+    other: Shading
+    centre: np.ndarray
+    beside: float
+
+    def moved(self, shape: tuple[int, int], scale: float = 1.0) -> np.ndarray:
+        """How far (rows, cols) the surface moves, over the most along the same line, while the images stay
+        the same: at the nodes of a grid ``scale`` times as coarse as the finest.
+        """
+        logarithm, away = self.solution(shape, scale)
+        ahead = away.mean((1, 2)) / np.hypot(*away.mean((1, 2)))
+        angle = np.arctan2(ahead[0] * away[1] - ahead[1] * away[0], ahead[0] * away[0] + ahead[1] * away[1])
+        line = np.rint((angle - angle.min()) * np.hypot(*away).max() / scale).astype(
+            int
+        )  # a node wide, at most
+        most = np.full(line.max() + 1, -np.inf)
+        np.maximum.at(most, line, logarithm)
+        return blurred(np.exp(logarithm - most[line]))
+
+    def solution(self, shape: tuple[int, int], scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """The logarithm (rows, cols) of e of :func:`free_place`, but for a number on each line, and the
+        distance (2, rows, cols) [nodes] from the centre.
+        """
+        y, x = ((np.arange(n) + 0.5) * scale - 0.5 for n in shape)
+        places = np.stack(np.meshgrid(x, y))
+        both = self.one.integral(self.centre, places) - self.other.integral(self.centre, places)
+        away = places - _column(self.centre)
+        difference = self.one.per_height - self.other.per_height
+        return np.log(np.hypot(*away)) - 3 * both / difference, away
+
+
+def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
+    """What one lamp, or two lights over an albedo that is not known, leave open of level ground at the depth
+    ``ground`` [nodes]; None if nothing, and for other lights.
 
     A small lamp at the height h above the ground, and at the horizontal distance r from it, casts
-    E = (h - r dh/dr) / (r^2 + h^2)^(3/2), but for a factor near 1 at gentle slopes. Along every line from the
-    lamp's foot this is a differential equation for h. A foot within the map makes its solution unique; from a
-    foot beside the map there is one for every height at the map's border. Of neighbouring solutions the
-    difference d obeys r dd/dr = (1 - 3 h^2 / (r^2 + h^2)) d, so d is in proportion to (r^2 + h^2)^(3/2) / r^2
-    where h changes slowly.
+    E = (h - r . grad h) / (r^2 + h^2)^(3/2), but for a factor near 1 at gentle slopes; a sky over open ground
+    casts some F (1 + f . grad h) everywhere. So the image of a lamp, or the ratio of two images, is a
+    differential equation of first order for h along lines through one point: the lamp's foot, or where the
+    line through both lamps, or from a lamp in the mean direction of the sky's light, meets the ground. If it
+    lies on the map the solution is unique. Else there is one for every height at the map's border. To first
+    order their difference e at the distance s from the point obeys
+
+        e' / e = 1 / s - 3 (h_1 / d_1^2 - h_2 / d_2^2) / (s (1 / h_1 - 1 / h_2)),
+
+    h and d the lamps' heights and distances from the place; of a sky, h / d^2 and 1 / h are 0. For one lamp
+    e is in proportion to (r^2 + h^2)^(3/2) / r^2.
     """
-    if pyramid.sides != "dark" and all(isinstance(light, Sky) for light in pyramid.sources):
-        return np.ones(z.shape)
-    middle = lamp_beside(pyramid.shape(0), pyramid.sides, pyramid.sources)
-    if middle is None:
+    lights = pyramid.sources
+    lamps = sum(isinstance(light, Lamp) for light in lights)
+    is_told = lamps < 2 and pyramid.sides != "open"  # by walls
+    if len(lights) != 2 - pyramid.albedo_known or not lamps or is_told:
         return None
-    rows, cols = (((np.arange(n) + 0.5) * 2**level - 0.5) for n in z.shape)
-    square = (cols - middle[0]) ** 2 + (rows[:, None] - middle[1]) ** 2
-    height = float(np.mean(z)) * 2**level - middle[2]
-    moved: np.ndarray = (square + height**2) ** 1.5 / square
-    return moved / float(moved.max())
+    found = [_shading(pyramid, number, ground) for number in range(len(lights))]
+    one, other = (*found, Shading(0.0, np.zeros(2)))[:2]  # of one lamp, as if even light were the other
+    if one is None or other is None:
+        return None
+    if abs(one.per_height - other.per_height) <= LEAST_DIFFERENCE * one.per_height:
+        share = 1 - LEAST_DIFFERENCE
+        other = other._replace(per_height=share * one.per_height, at=share * other.at)
+    centre = (one.at - other.at) / (one.per_height - other.per_height)
+    beside = math.hypot(*(max(-at, at - (n - 1), 0.0) for at, n in zip(centre, pyramid.shape(0)[::-1])))
+    return FreePlace(one, other, centre, beside) if beside else None
 
 
-def lamp_beside(shape: tuple[int, int], sides: str, lights: Sequence[Source]) -> np.ndarray | None:
-    """The middle (3,) [nodes] of the one lamp, if its foot lies beside a map with open sides; else None.
-
-    ``lights``: in nodes.
-    """
-    light = lights[0]
-    if sides != "open" or len(lights) > 1 or not isinstance(light, Lamp):
+def _shading(pyramid: Pyramid, number: int, ground: float) -> Shading | None:
+    """Of a lamp above the ground, or of a sky that lights it; None of other light."""
+    light, level = pyramid.sources[number], pyramid.coarsest
+    if isinstance(light, Sky):
+        level_ground = np.full(pyramid.shape(level), ground / 2**level)
+        irradiance, by_x, by_y = pyramid.problem(level).irradiances(level_ground, [0, 2, 3])[number]
+        total = irradiance.sum()
+        return Shading(0.0, np.array([by_x.sum(), by_y.sum()]) / total) if total > 0 else None
+    if not isinstance(light, Lamp):
         return None
     middle = light.center
     if light.corner is not None and light.edges is not None:
         middle = light.corner + np.sum(light.edges, 0) / 2
-    return None if middle is None or not beyond_map(middle, shape) else np.asarray(middle, float)
-
-
-def beyond_map(place: Any, shape: tuple[int, int]) -> float:
-    """How far [nodes] a place (x, y, ...) lies beside the map; 0 above it."""
-    return math.hypot(*(max(-at, at - (n - 1), 0.0) for at, n in zip(place, shape[::-1])))
+    if middle is None or ground <= middle[2]:
+        return None
+    lamp = np.asarray(middle, float)
+    return Shading(1 / (ground - lamp[2]), lamp[:2] / (ground - lamp[2]), lamp)

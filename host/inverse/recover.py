@@ -510,10 +510,11 @@ def _recovery(
             for own, other in ((z, judged.refit.depth), (residuals, np.array(judged.refit.residuals)))
         )
         levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), spent())]
-    warnings = [*answer.warnings, *diagnostics.of_limits(z, low, high)]
+    warnings = [*answer.warnings, *diagnostics.of_free_place(judged.place, len(pyramid.sources))]
+    warnings += diagnostics.of_limits(z, low, high)
     for name, residual in zip(given.names if len(residuals) > 1 else ["image"], residuals):
         warnings += diagnostics.of_residual(pyramid, residual, name)
-    place_is_known = not diagnostics.of_place(pyramid.sides, pyramid.sources)
+    place_is_known = not (judged.place or diagnostics.of_place(pyramid.sides, pyramid.sources))
     warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
     warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given, place_is_known)
 
