@@ -18,7 +18,7 @@ from .albedo import PRIOR_WEIGHT
 from .creases import errors_at_creases
 from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
-from .place import FreePlace, free_place
+from .place import FreePlace, free_place, most_of
 from .posterior import posterior_deviation, posterior_samples, shift_by
 from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid
 from .resampling import blurred, doubled, halved, halved_depth
@@ -188,18 +188,19 @@ def by_place(judged: Judged) -> np.ndarray:
     """Variance of the place of the surface as a whole, where images tell little or nothing of it: every place
     that the bounds of depth allow is as likely.
     """
-    pyramid = judged.pyramid
+    pyramid, z = judged.pyramid, judged.z
     if judged.place is not None:
-        moved = judged.place.moved(judged.z.shape, 2.0**judged.level)
+        moved, line = judged.place.lines(z.shape, 2.0**judged.level)
     elif pyramid.sides != "dark" and all(isinstance(light, Sky) for light in pyramid.sources):
-        moved = np.ones(judged.z.shape)  # skies tell nothing of it, unless walls do
+        moved, line = np.ones(z.shape), np.zeros(z.shape, int)  # skies tell nothing of it, unless walls do
     else:
-        return np.zeros(judged.z.shape)
+        return np.zeros(z.shape)
     low, high = pyramid.bounds[judged.level]
-    up, down = ((bound - judged.z) / moved for bound in (low, high))
-    up, down = min(0.0, float(up.max())), max(0.0, float(down.min()))
-    variance: np.ndarray = moved**2 * (up**2 + up * down + down**2) / 3
-    return variance
+    up, down = (
+        np.minimum(0, most_of(line, (low - z) / moved)),
+        np.maximum(0, -most_of(line, (z - high) / moved)),
+    )
+    return blurred(moved**2 * (up**2 + up * down + down**2) / 3)
 
 
 def by_rivals(judged: Judged) -> np.ndarray:

@@ -235,9 +235,9 @@ def of_free_place(place: FreePlace | None, lights: int) -> list[str]:
             " have nearly the same image; std and confidence include that."
         ]
     return [
-        "Two lights: the line through both (of a sky, from the lamp in the mean direction of its light) meets"
-        " the ground beside the map, so that surfaces which lie some nodes apart have nearly the same images"
-        " where the albedo is not known; std and confidence include that."
+        "Two lights over an unknown albedo: the line through both (a sky lies in the mean direction of its"
+        " light) does not meet the map, so that surfaces which lie some nodes apart have nearly the same"
+        " images; std and confidence include that."
     ]
 
 

@@ -1,4 +1,4 @@
-"""Lamps whose images tell little or nothing of the depth of the surface as a whole."""
+"""Lights whose images tell little or nothing of the depth of the surface as a whole."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from ..sources import Lamp, Sky
 from .pyramid import Pyramid
-from .resampling import blurred
 
-# share by which the heights of two lamps differ at least: else the line through both never meets the ground
+# share by which the heights of two lamps differ at least, and 1 over the height [node] of the nearer of two
+# skies: else no lines meet
 LEAST_DIFFERENCE = 1e-6
 
 
@@ -59,19 +59,16 @@ class FreePlace:
     centre: np.ndarray
     beside: float
 
-    def moved(self, shape: tuple[int, int], scale: float = 1.0) -> np.ndarray:
+    def lines(self, shape: tuple[int, int], scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """How far (rows, cols) the surface moves, over the most along the same line, while the images stay
-        the same: at the nodes of a grid ``scale`` times as coarse as the finest.
+        the same, and the number (rows, cols) of the line, which is a node wide at most: at the nodes of a
+        grid ``scale`` times as coarse as the finest.
         """
         logarithm, away = self.solution(shape, scale)
         ahead = away.mean((1, 2)) / np.hypot(*away.mean((1, 2)))
         angle = np.arctan2(ahead[0] * away[1] - ahead[1] * away[0], ahead[0] * away[0] + ahead[1] * away[1])
-        line = np.rint((angle - angle.min()) * np.hypot(*away).max() / scale).astype(
-            int
-        )  # a node wide, at most
-        most = np.full(line.max() + 1, -np.inf)
-        np.maximum.at(most, line, logarithm)
-        return blurred(np.exp(logarithm - most[line]))
+        line = np.rint((angle - angle.min()) * np.hypot(*away).max() / scale).astype(int)
+        return np.exp(logarithm - most_of(line, logarithm)), line
 
     def solution(self, shape: tuple[int, int], scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """The logarithm (rows, cols) of e of :func:`free_place`, but for a number on each line, and the
@@ -85,6 +82,14 @@ class FreePlace:
         return np.log(np.hypot(*away)) - 3 * both / difference, away
 
 
+def most_of(group: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The greatest of the values (rows, cols) with the same number in ``group``."""
+    most = np.full(int(group.max()) + 1, -np.inf)
+    np.maximum.at(most, group, values)
+    greatest: np.ndarray = most[group]
+    return greatest
+
+
 def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
     """What one lamp, or two lights over an albedo that is not known, leave open of level ground at the depth
     ``ground`` [nodes]; None if nothing, and for other lights.
@@ -93,9 +98,9 @@ def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
     E = (h - r . grad h) / (r^2 + h^2)^(3/2), but for a factor near 1 at gentle slopes; a sky over open ground
     casts some F (1 + f . grad h) everywhere. So the image of a lamp, or the ratio of two images, is a
     differential equation of first order for h along lines through one point: the lamp's foot, or where the
-    line through both lamps, or from a lamp in the mean direction of the sky's light, meets the ground. If it
-    lies on the map the solution is unique. Else there is one for every height at the map's border. To first
-    order their difference e at the distance s from the point obeys
+    line through both lamps, or from a lamp in the mean direction of the sky's light, meets the ground; of two
+    skies the lines are parallel. If the point lies on the map the solution is unique. Else there is one for
+    every height at the map's border. To first order their difference e at the distance s from the point obeys
 
         e' / e = 1 / s - 3 (h_1 / d_1^2 - h_2 / d_2^2) / (s (1 / h_1 - 1 / h_2)),
 
@@ -105,15 +110,17 @@ def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
     lights = pyramid.sources
     lamps = sum(isinstance(light, Lamp) for light in lights)
     is_told = lamps < 2 and pyramid.sides != "open"  # by walls
-    if len(lights) != 2 - pyramid.albedo_known or not lamps or is_told:
+    if is_told or len(lights) != 2 - pyramid.albedo_known or (lamps == 0 and len(lights) == 1):
         return None
     found = [_shading(pyramid, number, ground) for number in range(len(lights))]
     one, other = (*found, Shading(0.0, np.zeros(2)))[:2]  # of one lamp, as if even light were the other
     if one is None or other is None:
         return None
-    if abs(one.per_height - other.per_height) <= LEAST_DIFFERENCE * one.per_height:
-        share = 1 - LEAST_DIFFERENCE
-        other = other._replace(per_height=share * one.per_height, at=share * other.at)
+    if one.per_height == other.per_height == 0:
+        one = one._replace(per_height=LEAST_DIFFERENCE)
+    elif abs(one.per_height - other.per_height) < LEAST_DIFFERENCE * one.per_height:
+        grown = 1 + 2 * LEAST_DIFFERENCE
+        one = Shading(grown * one.per_height, grown * one.at, one.lamp)
     centre = (one.at - other.at) / (one.per_height - other.per_height)
     beside = math.hypot(*(max(-at, at - (n - 1), 0.0) for at, n in zip(centre, pyramid.shape(0)[::-1])))
     return FreePlace(one, other, centre, beside) if beside else None
