@@ -758,7 +758,25 @@ def test_where_lights_fix_the_place():
     assert place_of([above], albedo=0.5) is None and place_of([beside, above], albedo=0.5) is None
     assert place_of([beside, above, higher]) is None and place_of([SUN], albedo=0.5) is None
     assert place_of([SUN, sl.Sky()]) and place_of([SUN, sl.Sky()], "dark") is None
+    assert place_of([sl.Sky(), sl.Sky(sl.cie_overcast())]) is None  # neither tells anything
+    moved, line = place_of([SUN, sl.Sky()]).lines((24, 24))
+    assert moved.min() > 0.999 and 20 < line.max() < 40  # lines that never meet
     assert place_of([beside, sl.Sky()], "dark") is None and place_of([beside, above], "dark")
+
+
+@pytest.mark.parametrize(
+    "lights",
+    [
+        [sl.Lamp((-1e-200, 10.0, -16.0), 3.0)],
+        [sl.Lamp((10.0, 10.0, -16.0), 3.0), sl.Lamp((10.0 + 1e-3, 10.0, -16.0), 3.0)],
+        [sl.Lamp((30.0, 10.0, 5.999), 1e-3), sl.Lamp((-1e8, 10.0, -1e4), 3.0)],
+    ],
+    ids=["at the border", "two at one place", "on the ground and far away"],
+)
+def test_free_places_stay_finite(lights):
+    place = place_of(lights, albedo=0.8 if len(lights) == 1 else None)
+    moved, line = place.lines((24, 24))
+    assert np.isfinite(moved).all() and 0 < moved.min() and moved.max() == 1 and line.min() == 0
 
 
 @pytest.mark.slow

@@ -11,9 +11,13 @@ import numpy as np
 from ..sources import Lamp, Sky
 from .pyramid import Pyramid
 
-# share by which the heights of two lamps differ at least, and 1 over the height [node] of the nearer of two
-# skies: else no lines meet
+# share by which the heights of two lamps differ at least, and sizes of the map over the distance from where
+# the lines of two skies meet: else no lines meet
 LEAST_DIFFERENCE = 1e-6
+# of how the light of two skies changes with slopes, below which their images change alike; chosen: float32
+# leaves some 1e-6, a sun at an elevation of 45 degrees beside an even sky has 1
+SKIES_ALIKE = 1e-3
+LEAST_MOVED = 1e-9  # share of the most on a line, so that what is divided by it stays finite
 
 
 class Shading(NamedTuple):
@@ -68,7 +72,7 @@ class FreePlace:
         ahead = away.mean((1, 2)) / np.hypot(*away.mean((1, 2)))
         angle = np.arctan2(ahead[0] * away[1] - ahead[1] * away[0], ahead[0] * away[0] + ahead[1] * away[1])
         line = np.rint((angle - angle.min()) * np.hypot(*away).max() / scale).astype(int)
-        return np.exp(logarithm - most_of(line, logarithm)), line
+        return np.maximum(np.exp(logarithm - most_of(line, logarithm)), LEAST_MOVED), line
 
     def solution(self, shape: tuple[int, int], scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """The logarithm (rows, cols) of e of :func:`free_place`, but for a number on each line, and the
@@ -117,7 +121,9 @@ def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
     if one is None or other is None:
         return None
     if one.per_height == other.per_height == 0:
-        one = one._replace(per_height=LEAST_DIFFERENCE)
+        if (apart := float(np.hypot(*(one.at - other.at)))) < SKIES_ALIKE:
+            return None
+        one = one._replace(per_height=LEAST_DIFFERENCE * apart / max(pyramid.shape(0)))
     elif abs(one.per_height - other.per_height) < LEAST_DIFFERENCE * one.per_height:
         grown = 1 + 2 * LEAST_DIFFERENCE
         one = Shading(grown * one.per_height, grown * one.at, one.lamp)
