@@ -565,3 +565,12 @@ def test_a_package_of_which_a_part_is_missing_is_broken():
     assert "cannot be imported (No module named 'affine')" in str(
         lacking("a GeoTIFF", "rasterio", "geo", error)
     )
+
+
+def test_functions_of_no_module_are_brightness_functions():
+    """As exec makes them: their __module__ is None."""
+    made = {}
+    exec("def even(L): return 1 + 0 * L[..., 0]", made)
+    scene = sl.Scene(np.zeros((3, 3)))
+    images = [sl.render(scene, sl.Sky(light), backend="numpy").image for light in (made["even"], 1.0)]
+    np.testing.assert_allclose(*images, rtol=1e-3)

@@ -225,14 +225,16 @@ def of_confidence(
     return warnings
 
 
-def of_free_place(place: FreePlace | None, lights: int) -> list[str]:
-    """A warning where lamps leave the depth of the whole open; ``lights``: their number, with the sky."""
+def of_free_place(place: FreePlace | None, lights: Sequence[sources.Source]) -> list[str]:
+    """A warning where lamps or windows leave the depth of the whole open."""
     if place is None:
         return []
-    if lights == 1:
+    if len(lights) == 1:
+        is_window = isinstance(lights[0], sources.Window)
         return [
-            f"Lamp beside the map: by {place.beside:.3g} nodes, so that surfaces which lie some nodes apart"
-            " have nearly the same image; std and confidence include that."
+            ("Window beside the map: " if is_window else "Lamp beside the map: ")
+            + f"by {place.beside:.3g} nodes, so that surfaces which lie some nodes apart have nearly the same"
+            " image; std and confidence include that."
         ]
     return [
         "Two lights over an unknown albedo: the line through both (a sky lies in the mean direction of its"

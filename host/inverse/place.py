@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..sources import Lamp, Sky
+from ..sources import Lamp, Sky, Source, Window
 from .pyramid import Pyramid
 
 # share by which the heights of two lamps differ at least, and sizes of the map over the distance from where
@@ -25,16 +25,18 @@ class Shading(NamedTuple):
     as a share of the light, at the place (x, y) [nodes].
 
     lamp: the middle (x, y, z) of a small lamp, then ``per_height`` is 1 / (its height above the ground); None
-    for light that is the same everywhere, with 0.
+    for light that is the same everywhere, with 0. cosines: of the lamp's own upright normal, 1 of a window, 0
+    of a sphere.
     """
 
     per_height: float
     at: np.ndarray
     lamp: np.ndarray | None = None
+    cosines: int = 0
 
     def integral(self, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Of h / (s d^2) over the distance s from ``centre`` (2,) to places x (2, rows, cols), where the lamp
-        is h high and d away.
+        """Of (1 + cosines) / (h s) - (3 + cosines) h / (s d^2) over the distance s from ``centre`` (2,) to
+        places x (2, rows, cols), where the lamp is h high and d away.
         """
         if self.lamp is None:
             return np.zeros(x.shape[1:])
@@ -44,7 +46,9 @@ class Shading(NamedTuple):
         passed, at_centre = (np.sum(from_centre / away * to, 0) for to in (from_foot, _column(centre - foot)))
         least = np.sqrt(np.maximum(distance**2 - passed**2, height**2))  # of the line from the lamp
         whole = np.log(away / distance) - at_centre / least * np.arctan(passed / least)
-        integral: np.ndarray = height / (float(np.sum((centre - foot) ** 2)) + height**2) * whole
+        square = float(np.sum((centre - foot) ** 2)) + height**2
+        first = (1 + self.cosines) * self.per_height * np.log(away)
+        integral: np.ndarray = first - (3 + self.cosines) * height / square * whole
         return integral
 
 
@@ -82,8 +86,9 @@ class FreePlace:
         places = np.stack(np.meshgrid(x, y))
         both = self.one.integral(self.centre, places) - self.other.integral(self.centre, places)
         away = places - _column(self.centre)
-        difference = self.one.per_height - self.other.per_height
-        return np.log(np.hypot(*away)) - 3 * both / difference, away
+        if self.one.lamp is None and self.other.lamp is None:
+            return np.zeros(shape), away
+        return both / (self.one.per_height - self.other.per_height), away
 
 
 def most_of(group: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -95,8 +100,8 @@ def most_of(group: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
-    """What one lamp, or two lights over an albedo that is not known, leave open of level ground at the depth
-    ``ground`` [nodes]; None if nothing, and for other lights.
+    """What one lamp or window, or two lights over an albedo that is not known, leave open of level ground at
+    the depth ``ground`` [nodes]; None if nothing, and for other lights.
 
     A small lamp at the height h above the ground, and at the horizontal distance r from it, casts
     E = (h - r . grad h) / (r^2 + h^2)^(3/2), but for a factor near 1 at gentle slopes; a sky over open ground
@@ -109,10 +114,11 @@ def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
         e' / e = 1 / s - 3 (h_1 / d_1^2 - h_2 / d_2^2) / (s (1 / h_1 - 1 / h_2)),
 
     h and d the lamps' heights and distances from the place; of a sky, h / d^2 and 1 / h are 0. For one lamp
-    e is in proportion to (r^2 + h^2)^(3/2) / r^2.
+    e is in proportion to (r^2 + h^2)^(3/2) / r^2. A window, whose own normal is upright, casts h / d times as
+    much, which makes 4 of 3 and adds 1 / h to what is divided by s.
     """
     lights = pyramid.sources
-    lamps = sum(isinstance(light, Lamp) for light in lights)
+    lamps = sum(not isinstance(light, Sky) for light in lights)  # and windows
     is_told = lamps < 2 and pyramid.sides != "open"  # by walls
     if is_told or len(lights) != 2 - pyramid.albedo_known or (lamps == 0 and len(lights) == 1):
         return None
@@ -126,26 +132,33 @@ def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
         one = one._replace(per_height=LEAST_DIFFERENCE * apart / max(pyramid.shape(0)))
     elif abs(one.per_height - other.per_height) < LEAST_DIFFERENCE * one.per_height:
         grown = 1 + 2 * LEAST_DIFFERENCE
-        one = Shading(grown * one.per_height, grown * one.at, one.lamp)
+        one = one._replace(per_height=grown * one.per_height, at=grown * one.at)
     centre = (one.at - other.at) / (one.per_height - other.per_height)
     beside = math.hypot(*(max(-at, at - (n - 1), 0.0) for at, n in zip(centre, pyramid.shape(0)[::-1])))
     return FreePlace(one, other, centre, beside) if beside else None
 
 
 def _shading(pyramid: Pyramid, number: int, ground: float) -> Shading | None:
-    """Of a lamp above the ground, or of a sky that lights it; None of other light."""
+    """Of a lamp or window above the ground, by its middle, or of a sky that lights it; None of others."""
     light, level = pyramid.sources[number], pyramid.coarsest
     if isinstance(light, Sky):
         level_ground = np.full(pyramid.shape(level), ground / 2**level)
         irradiance, by_x, by_y = pyramid.problem(level).irradiances(level_ground, [0, 2, 3])[number]
         total = irradiance.sum()
         return Shading(0.0, np.array([by_x.sum(), by_y.sum()]) / total) if total > 0 else None
-    if not isinstance(light, Lamp):
-        return None
-    middle = light.center
-    if light.corner is not None and light.edges is not None:
-        middle = light.corner + np.sum(light.edges, 0) / 2
+    middle = _middle(light)
     if middle is None or ground <= middle[2]:
         return None
-    lamp = np.asarray(middle, float)
-    return Shading(1 / (ground - lamp[2]), lamp[:2] / (ground - lamp[2]), lamp)
+    per_height = 1 / (ground - middle[2])
+    return Shading(per_height, per_height * middle[:2], middle, int(isinstance(light, Window)))
+
+
+def _middle(light: Source) -> np.ndarray | None:
+    """(x, y, z) of a sphere or rectangle; None of other shapes."""
+    if isinstance(light, Window) and light.x is not None and light.y is not None:
+        return np.array([sum(light.x) / 2, sum(light.y) / 2, 0.0])
+    if not isinstance(light, Lamp):
+        return None
+    if light.corner is not None and light.edges is not None:
+        return np.asarray(light.corner + np.sum(light.edges, 0) / 2)
+    return None if light.center is None else np.array(light.center)

@@ -510,7 +510,7 @@ def _recovery(
             for own, other in ((z, judged.refit.depth), (residuals, np.array(judged.refit.residuals)))
         )
         levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), spent())]
-    warnings = [*answer.warnings, *diagnostics.of_free_place(judged.place, len(pyramid.sources))]
+    warnings = [*answer.warnings, *diagnostics.of_free_place(judged.place, pyramid.sources)]
     warnings += diagnostics.of_limits(z, low, high)
     for name, residual in zip(given.names if len(residuals) > 1 else ["image"], residuals):
         warnings += diagnostics.of_residual(pyramid, residual, name)
@@ -559,7 +559,7 @@ def _check_shape(light: sources.Source, sides: str) -> None:
 def _in_nodes(light: sources.Source, spacing: float) -> sources.Source:
     """A source with its lengths in nodes."""
 
-    def scaled(value: Any) -> Any:
+    def scaled(value: Any) -> Any:  # None stays
         return tuple(map(scaled, value)) if isinstance(value, tuple) else value and value / spacing
 
     lengths = {"x", "y", "center", "radius", "corner", "edges"} & vars(light).keys()

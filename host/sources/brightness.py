@@ -409,7 +409,11 @@ def checked(value: Any) -> Any:
     """A number, three numbers or a function, checked."""
     if callable(value):
         name = getattr(value, "__qualname__", "")
-        if inspect.isfunction(value) and value.__module__.startswith(__package__) and "<locals>" not in name:
+        if (
+            inspect.isfunction(value)
+            and str(value.__module__).startswith(__package__)
+            and "<locals>" not in name
+        ):
             # a function of this package returns a brightness, and is none
             raise bad("brightness", f"the function {name} itself", "what it returns", f"Call it: {name}().")
         return value
