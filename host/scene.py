@@ -134,8 +134,8 @@ class Scene:
             raise bad("labels", "those of another map", f"coordinates of shape {shape}", "Pass labels=None.")
         if own is not None and not height:
             check_spacing(self.spacing, own)
-        mask = _mask(self.mask, shape)
-        _set(self, mask=mask if there is not None else _known(given, own, mask))
+        mask = mask_of(self.mask, shape)
+        _set(self, mask=mask if there is not None else known_of(given, own, mask))
         if self.mask is not None and not self.mask.any():
             raise bad("mask: no valid node", "False everywhere", "at least one True")
         if values is None:
@@ -177,7 +177,7 @@ class Scene:
         values = values.astype(np.float32 if np.can_cast(values.dtype, np.float32) else np.float64)
         masks = [values != values.dtype.type(value) for value in no_data_of(self.labels)]
         if self.mask is not None:
-            masks.append(_mask(self.mask, shape, lazy=True))
+            masks.append(mask_of(self.mask, shape, lazy=True))
         for mask in masks:
             values = dask.where(mask, values, values.dtype.type(np.nan))
         albedo = chunked(self.albedo)
@@ -473,7 +473,7 @@ def _count_from_least(scene: Scene, values: np.ndarray, rounding: float) -> None
     _set(scene, rounding=rounding, _from_least=near)
 
 
-def _mask(mask: Any, shape: tuple[int, ...], lazy: bool = False) -> Any:
+def mask_of(mask: Any, shape: tuple[int, ...], lazy: bool = False) -> Any:
     """A copy of a mask, checked; a dask.array stays one if ``lazy``."""
     if mask is None:
         return None
@@ -489,7 +489,7 @@ def _mask(mask: Any, shape: tuple[int, ...], lazy: bool = False) -> Any:
     return as_promised(mask, "mask") if lazy else np.array(mask)
 
 
-def _known(given: Any, labels: Labels | None, mask: np.ndarray | None) -> np.ndarray | None:
+def known_of(given: Any, labels: Labels | None, mask: np.ndarray | None) -> np.ndarray | None:
     """A mask without the nodes at which a DataArray has no data; None where there is nothing to leave out."""
     no_data = no_data_of(labels)
     if labels is None or given.dtype.kind not in "iuf":

@@ -290,6 +290,27 @@ def test_recover(here, capsys):
 
 
 @pytest.mark.slow
+def test_recover_leaves_out_what_a_mask_says(here, fast, capsys):
+    """--mask, and cells of a raster without data: as mask= of the function."""
+    image = np.load("image.npy")
+    known = np.ones(image.shape, bool)
+    known[2:4, 3] = False
+    np.save("mask.npy", known)
+    np.save("holes.npy", np.where(known, image, np.nan))
+    options = ("--sides", "dark", "--layers", 8, "--interreflection", "off", "--backend", fast)
+    assert run(capsys, "recover", "holes.npy", "a.npy", "--mask", "mask.npy", *options)[0] == 0
+    expected = sl.recover(
+        image, sl.Sky(), 0.8, "dark", layers=8, interreflection=False, mask=known, backend=fast
+    )
+    np.testing.assert_array_equal(np.load("a.npy"), expected.depth)
+    picture = io.read("a_picture.png")
+    assert picture.min() == 0 and np.ptp(picture) > 0
+    assert run(capsys, "recover", "holes.npy", "b.npy", *options)[0] == 3
+    np.save("wide.npy", np.ones((3, 3)))
+    code, _, err = run(capsys, "recover", "image.npy", "b.npy", "--mask", "wide.npy", *options)
+    assert code == 3 and "wide.npy: wrong shape: got (3, 3)" in err
+
+
 def test_recover_writes_a_picture(here, fast, capsys):
     """A picture of image, relief, confidence and residual; an .npz holds what it was made of."""
     code, out, err = run(

@@ -232,7 +232,7 @@ def test_images_of_few_levels_are_said():
     across = np.linspace(0.2, 0.8, 64) + np.linspace(0, 0.1, 64)[:, None]
     steps = lambda bits: np.round(across * 2**bits) / 2**bits
     scene, lamp = sl.Scene(np.ones((64, 64))), sl.Lamp((32.0, 32.0, -40.0), 10.0)
-    of_images = lambda image: diagnostics.of_images([image], [lamp], scene, 20.0)
+    of_images = lambda image: diagnostics.of_images([image], [image > 0], [lamp], scene, 20.0)
     (text,) = of_images(steps(5))
     assert text.startswith("8-bit steps: the image has 24 values, 0.031 apart")
     assert of_images(across) == [] and of_images(steps(16)) == []

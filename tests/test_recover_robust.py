@@ -866,8 +866,123 @@ def test_every_image_is_judged(fast):
         assert any(f"model and {name} differ" in text for text in found.warnings), found.warnings
 
 
+def _in_a_box(name, gap):
+    """(depth, image, mask) of 32 x 32 nodes; ``gap``: its place and radius [nodes]."""
+    depth, image = surfaces.pair(name, "sky", 32)
+    row, col, radius = gap
+    y, x = np.indices(depth.shape)
+    return depth, image, np.hypot(y - row, x - col) > radius
+
+
+MASKED = dict(albedo=ALBEDO, sides="dark", layers=32, interreflection=False)
+
+
+def test_what_does_not_count_changes_nothing(fast):
+    """Whatever the pixels of a gap hold, the answer has the same bytes; a highlight there does no harm."""
+    depth, image, mask = _in_a_box("bumps", (12, 20, 4))
+    given = image.copy()
+    found, *others = (
+        sl.recover(np.where(mask, image, value), sl.Sky(), mask=mask, backend=fast, **MASKED)
+        for value in (np.nan, -1.0, 3 * image.max())
+    )
+    for other in others:
+        for name in ("depth", "std", "confidence"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(other, name))
+    assert np.array_equal(np.isnan(found.residual), ~mask) and np.isfinite(found.std).all()
+    error = np.abs(found.depth - depth)
+    assert rms(error[mask]) < 0.3 and (error < 2 * found.std)[~mask].mean() > 0.9
+    assert found.std[12, 20] > 2 * found.std[12, 15]  # inside and at the edge
+    assert np.array_equal(image, given) and not found.warnings
+    shiny = np.where(mask, image, 3 * image.max())
+    assert rms(sl.recover(shiny, sl.Sky(), backend=fast, **MASKED).depth - depth) > 1
+
+
+def test_a_mask_that_leaves_nothing_out_is_no_mask(fast):
+    _, image, mask = _in_a_box("bumps", (12, 20, 0))
+    with_mask, without = (
+        sl.recover(image, sl.Sky(), mask=given, backend=fast, **MASKED) for given in (mask | True, None)
+    )
+    np.testing.assert_array_equal(with_mask.depth, without.depth)
+    np.testing.assert_array_equal(with_mask.std, without.std)
+
+
+@pytest.mark.slow
+def test_images_have_masks_of_their_own(fast):
+    """Two lights over an unknown albedo, each with a gap; two images of one light are one without gaps."""
+    depth, _, mask = _in_a_box("bumps", (12, 20, 4))
+    _, _, other = _in_a_box("bumps", (20, 8, 3))
+    lights = [sl.Sky(), sl.Lamp(center=(15.5, 15.5, -3), radius=4)]
+    scene = sl.Scene(depth, albedo=ALBEDO, sides="dark")
+    images = [
+        sl.render(scene, light, "horizon", azimuths=64, interreflection=False, backend=fast).image
+        for light in lights
+    ]
+    options = MASKED | dict(albedo=None, backend=fast)
+    gaps = [np.where(known, image, np.nan) for known, image in zip((mask, other), images)]
+    found = sl.recover(gaps, lights, mask=[mask, other], **options)
+    assert rms(found.depth - depth) < 0.4
+    assert rms(found.albedo - ALBEDO) < 0.05
+    options["albedo"] = ALBEDO
+    twice = sl.recover([gaps[0], images[0]], [sl.Sky()] * 2, mask=[mask, None], **options)
+    once = sl.recover(images[0], sl.Sky(), **options)
+    np.testing.assert_array_equal(twice.depth, once.depth)
+    assert np.isfinite(twice.residual).all()
+
+
+@pytest.mark.slow
+def test_a_gap_is_no_dark_place_for_light_between_surfaces(fast):
+    """Ground that no image shows sends what its surroundings do. As 0, depth would be 0.4 nodes off."""
+    depth, image = surfaces.pair("pits", "sky", 32, interreflection=True)
+    _, _, mask = _in_a_box("pits", (12, 20, 4))
+    options = MASKED | dict(interreflection=True, backend=fast)
+    found = sl.recover(image, sl.Sky(), mask=mask, **options)
+    assert found.interreflection and rms((found.depth - depth)[mask]) < 0.2
+
+
+def test_a_wide_gap_is_told(fast):
+    """From a tenth of the side on; a narrow one is not."""
+    _, image, _ = _in_a_box("bumps", (0, 0, 0))
+    for radius, told in ((3, False), (8, True)):
+        mask = _in_a_box("bumps", (14, 16, radius))[2]
+        found = sl.recover(image, sl.Sky(), mask=mask, max_seconds=1e-6, backend=fast, **MASKED)
+        assert any(text.startswith("Wide gap") for text in found.warnings) is told
+
+
+def test_gaps_of_a_dataarray_do_not_count(fast):
+    xarray = pytest.importorskip("xarray")
+    _, image, mask = _in_a_box("bumps", (12, 20, 4))
+    image = np.where(mask, image, np.nan)
+    labelled = xarray.DataArray(image, dims=("y", "x"))
+    found = sl.recover(labelled, sl.Sky(), backend=fast, **MASKED)
+    expected = sl.recover(image, sl.Sky(), mask=mask, backend=fast, **MASKED)
+    np.testing.assert_array_equal(found.depth.values, expected.depth)
+    assert np.array_equal(np.isnan(found.residual.values), ~mask)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            dict(mask=np.ones((3, 3), bool)),
+            r"mask: wrong type or shape.*shape \(3, 3\); allowed: bool, shape \(8, 8\)",
+        ),
+        (dict(mask=np.ones((8, 8))), "mask: wrong type or shape: got dtype float64"),
+        (dict(mask=np.zeros((8, 8), bool)), "black everywhere"),
+        (dict(mask=[np.ones((8, 8), bool)]), "mask: masks: got 1; allowed: one, or a list of 2"),
+        (dict(mask=np.eye(8) > 0, method="paper"), "method 'paper': got lists of images, mask"),
+        (dict(), "wherever the mask is True. Pass mask=numpy.isfinite"),
+    ],
+)
+def test_masks_that_do_not_fit_are_refused(options, message):
+    images = [np.full((8, 8), 0.3), np.full((8, 8), 0.3)]
+    if not options:
+        images[1][3, 4] = np.nan
+    with pytest.raises(sl.InputError, match=message):
+        sl.recover(images, [sl.Sky(), sl.Lamp((4, 4, -3), 1)], 0.5, **options)
+
+
 def test_a_masked_array_is_refused_with_advice():
-    with pytest.raises(sl.InputError, match="an image without gaps"):
+    with pytest.raises(sl.InputError, match="mask=~numpy.ma.getmaskarray"):
         sl.recover(np.ma.masked_array(np.ones((4, 4)), False), sl.Sky(), 0.3)
 
 
@@ -1300,12 +1415,13 @@ def test_progress_goes_up_to_its_end(fast, interreflection):
 def test_lights_that_are_made_alike_are_the_same(make, same):
     """Equal arguments of the package's own brightnesses; functions of a user's are the same or not."""
     images = [np.full((4, 4), 0.5)] * 3
-    merged = by_light(images, [make(), sl.Lamp((1, 1, -3), 1), make()])
+    known = [np.ones((4, 4), bool)] * 3
+    merged = by_light(images, [make(), sl.Lamp((1, 1, -3), 1), make()], known)
     assert merged.names == (
         ["mean of images 1 and 3", "image 2"] if same else ["image 1", "image 2", "image 3"]
     )
     one = make()
-    assert len(by_light(images[:2], [one, one]).lights) == 1
+    assert len(by_light(images[:2], [one, one], known[:2]).lights) == 1
 
 
 class AlikeInAnArray:

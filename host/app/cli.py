@@ -284,6 +284,7 @@ def recover(
     method: opt.RecoverMethod = "robust",
     near: opt.Near = None,
     far: opt.Far = None,
+    mask: opt.ImageMask = None,
     max_seconds: opt.MaxSeconds = None,
     picture: opt.RecoveryPicture = None,
     std: opt.StdFile = None,
@@ -307,8 +308,9 @@ def recover(
     if std is not None and method != "robust":
         raise typer.BadParameter("it goes with --method robust", param_hint="--std")
     picture = _checked_picture(picture, out, method)
-    output.check_apart((file, source), out, std, picture, figure)
+    output.check_apart((file, source, mask), out, std, picture, figure)
     image, raster = parsing.radiance(file, white, resample)
+    known = parsing.where_known(image, raster, mask)
     spacing = parsing.spacing_of(spacing, raster)
     light = parsing.source(source, lamp, window, sun)
     parsing.check_place(light, raster)
@@ -321,9 +323,11 @@ def recover(
             spacing=spacing,
             method=method,
             interreflection=parsing.INTERREFLECTION[interreflection],
+            mask=known,
             progress=progress,
             **options,
         )
+    image = image if known is None else np.where(known, image, np.nan)
     kept = ("drilled", "confidence", "candidates", "ambiguous", *(["std"] if method == "robust" else []))
     more = {name: getattr(done, name) for name in kept if out.lower().endswith(".npz")}
     output.write(out, done.depth, raster, range=(0.0, 65535.0 * spacing), bits=16, name="depth", **more)

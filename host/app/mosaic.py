@@ -36,7 +36,7 @@ def of_recovery(image: np.ndarray, recovered: Recovery, spacing: float) -> np.nd
     """Side by side: image, relief, confidence and residual.
 
     The relief is the depth under a low lamp; the residual is |model - image|, white at a tenth of the image's
-    maximum.
+    maximum. What does not count of the image, nan, is black.
     """
     assert recovered.confidence is not None and recovered.residual is not None, "recover() gives both"
     rows, cols = recovered.depth.shape
@@ -44,14 +44,15 @@ def of_recovery(image: np.ndarray, recovered: Recovery, spacing: float) -> np.nd
     lamp = Lamp(center=(-size, -size, -1.5 * size), radius=size / 4)
     relief = render(Scene(depth, spacing), lamp, backend=recovered.backend).image
     pictures = [
-        _scaled(image, image.max()),
+        _scaled(image, np.nanmax(image)),
         _scaled(relief, np.percentile(relief, 99)),
         recovered.confidence,
-        _scaled(np.abs(recovered.residual), 0.1 * image.max()),
+        _scaled(np.abs(recovered.residual), 0.1 * np.nanmax(image)),
     ]
     times = max(1, ROW // max(rows, cols))
     return sheet_of([enlarged(values, times) for values in pictures], 4)
 
 
 def _scaled(values: np.ndarray, white: float) -> np.ndarray:
-    return np.clip(values / max(float(white), 1e-30), 0, 1)
+    scaled: np.ndarray = np.clip(np.nan_to_num(values) / max(float(white), 1e-30), 0, 1)
+    return scaled

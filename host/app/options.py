@@ -173,6 +173,9 @@ RecoveryPicture = Annotated[
         help="robust: PNG of image, relief, confidence and residual, without scales  [default: beside OUT]"
     ),
 ]
+ImageMask = Annotated[
+    Path | None, unset("--mask", metavar="FILE", help="robust: image, 0 where INPUT does not count")
+]
 StdFile = Annotated[
     str | None,
     unset(

@@ -263,6 +263,18 @@ def radiance(file: Path, white: float | None, resample: bool = False) -> tuple[n
     return image if raster is None else np.where(raster.mask, image, np.nan), raster
 
 
+def where_known(image: np.ndarray, raster: geo.Raster | None, file: Path | None) -> np.ndarray | None:
+    """(rows, cols) bool: pixels of ``image`` that a raster knows, and that are not 0 in the image ``file``;
+    None if there is neither.
+    """
+    masks = [] if raster is None or raster.mask.all() else [raster.mask]
+    if file is not None:
+        masks.append(io.read(file) != 0)
+        if masks[-1].shape != image.shape:
+            raise bad(f"{file}: wrong shape", masks[-1].shape, f"that of the image, {image.shape}")
+    return np.logical_and.reduce(masks) if masks else None
+
+
 def _scaled(file: Path, image: np.ndarray, white: float | None) -> np.ndarray:
     if image.dtype.kind == "f":
         if white is not None:

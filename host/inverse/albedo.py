@@ -55,8 +55,7 @@ class AlbedoFit:
             "albedo_sums", light, gain, target, *sums, is_first, self.pixels, dim=(self.pixels,)
         )
 
-    def values(self, side: int) -> np.ndarray:
-        """(pixels,) the albedo that was fitted last at this side."""
-        image, get = self.images[0], self.launcher.backend.download
-        albedo: np.ndarray = get(image.gains[side]) / get(image.gain)
+    def values(self) -> np.ndarray:
+        """(pixels,) the albedo that was fitted last."""
+        albedo: np.ndarray = self.launcher.backend.download(self.product)[0]
         return albedo

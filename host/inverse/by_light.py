@@ -19,29 +19,35 @@ SAME_EXPOSURE = 0.01
 
 
 class Merged(NamedTuple):
-    """An image (rows, cols) for every light, its name in messages, and warnings on merged images."""
+    """An image (rows, cols) for every light, where it is known, its name in messages, and warnings on merged
+    images.
+    """
 
     images: list[np.ndarray]
+    known: list[np.ndarray]
     lights: list[sources.Source]
     names: list[str]
     warnings: list[str]
 
 
-def by_light(images: list[np.ndarray], lights: list[sources.Source]) -> Merged:
-    """Images of the same light become their mean. Brightnesses that are numbers may differ."""
+def by_light(images: list[np.ndarray], lights: list[sources.Source], known: list[np.ndarray]) -> Merged:
+    """Images of the same light become their mean, of those that are known at a pixel. Brightnesses that are
+    numbers may differ. Images are 0 where they are not known.
+    """
     first: list[int] = []  # image of the same light
     for n, light in enumerate(lights):
         first.append(next((m for m in range(n) if _is_same(lights[m], light)), n))
-    merged = Merged([], [], [], [])
+    merged = Merged([], [], [], [], [])
     for m in sorted(set(first)):
         alike = [n for n, other in enumerate(first) if other == m]
         if len(alike) == 1:
-            image, light, name = images[m], lights[m], f"image {m + 1}"
+            image, where, light, name = images[m], known[m], lights[m], f"image {m + 1}"
         else:
             listed = f"{', '.join(str(n + 1) for n in alike[:-1])} and {alike[-1] + 1}"
-            image, light = np.mean([images[n] for n in alike], axis=0), lights[m]
-            name = f"mean of images {listed}"
-            units = [float(images[n].mean()) / sources.number_of(lights[n]) for n in alike]
+            light, name = lights[m], f"mean of images {listed}"
+            count, by_all = (part([known[n] for n in alike], axis=0) for part in (np.sum, np.all))
+            image, where = np.sum([images[n] for n in alike], axis=0) / np.maximum(count, 1), count > 0
+            units = [float(images[n][by_all].sum()) / sources.number_of(lights[n]) for n in alike]
             if max(units) > (1 + SAME_EXPOSURE) * min(units):
                 merged.warnings.append(diagnostics.of_exposures(listed, max(units) / min(units)))
             if not callable(light.brightness):
@@ -49,6 +55,7 @@ def by_light(images: list[np.ndarray], lights: list[sources.Source]) -> Merged:
                     light, brightness=float(np.mean([sources.number_of(lights[n]) for n in alike]))
                 )
         merged.images.append(image)
+        merged.known.append(where)
         merged.lights.append(light)
         merged.names.append(name)
     return merged

@@ -203,6 +203,18 @@ def by_place(judged: Judged) -> np.ndarray:
     return blurred(moved**2 * (up**2 + up * down + down**2) / 3)
 
 
+def by_gaps(judged: Judged) -> np.ndarray:
+    """Squared distance by which depth may leave its smooth continuation in gaps of all images: what the mean
+    curvature of the rest makes of the distance to it, at most the relief of the whole.
+    """
+    away, z = judged.pyramid.away(judged.level), judged.z
+    seen = away == 0
+    bends = np.diff(z, 2, axis=0)[seen[1:-1]], np.diff(z, 2, axis=1)[seen[:, 1:-1]]
+    curvature = math.sqrt(float(np.mean(np.concatenate(bends) ** 2))) if sum(map(len, bends)) else 0.0
+    apart: np.ndarray = np.minimum(curvature * away**2 / 2, math.sqrt(2) * float(z.std()))
+    return apart**2
+
+
 def by_rivals(judged: Judged) -> np.ndarray:
     """Squared distance to the other surfaces of the search, each times its weight."""
     squares = ((weight * blurred(np.abs(off))) ** 2 for off, weight in judged.rivals)
@@ -243,6 +255,7 @@ def by_other_answers(judged: Judged) -> np.ndarray:
 PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
     by_noise,
     by_place,
+    by_gaps,
     by_finer_model,
     by_creases,
     by_rivals,

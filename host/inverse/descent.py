@@ -157,7 +157,7 @@ class Descent:
         """
         assert self.albedo is not None, "the albedo is given"
         self.value(z, 0.0)
-        return self.albedo.values(self.here).reshape(self.shape)
+        return self.albedo.values().reshape(self.shape)
 
     def set_bounds(self, low: np.ndarray, high: np.ndarray) -> None:
         """Other bounds of depth from here on."""

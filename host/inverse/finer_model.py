@@ -63,15 +63,19 @@ def refit_of(pyramid: Pyramid, level: int, z: np.ndarray) -> Refit:
 def _finer_model(pyramid: Pyramid, level: int) -> Descent:
     rows, cols = pyramid.shape(level)
     shape = FINER * rows, FINER * cols
-    albedo = np.repeat(np.repeat(pyramid.albedo[level], FINER, 0), FINER, 1)
+    lights = pyramid.lights(shape, FINER * 0.5**level, FINER_AZIMUTHS)
     sent = pyramid.radiances(level)
     return Descent(
         pyramid.engine,
         shape,
         pyramid.sides,
         [
-            (light, albedo / (math.pi * scale), np.zeros(shape))
-            for light, scale in zip(pyramid.lights(shape, FINER * 0.5**level, FINER_AZIMUTHS), pyramid.scales)
+            (
+                light,
+                np.kron(pyramid.albedo[level] * weight / (math.pi * scale), np.ones((FINER, FINER))),
+                np.zeros(shape),
+            )
+            for light, scale, weight in zip(lights, pyramid.scales, pyramid.weights[level])
         ],
         np.zeros(shape),
         np.full(shape, FINER * pyramid.bounds[level][1].max()),

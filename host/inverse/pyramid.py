@@ -6,6 +6,7 @@ Grids are box means of the images, coarser by factors of two.
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import logging
 import math
@@ -14,12 +15,13 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from .. import sources
 from ..backends.base import Backend
 from .descent import Descent
 from .lights import Light, brightness_of, light_of
-from .resampling import cubic, doubled, halved
+from .resampling import cubic, distance_from, doubled, halved
 
 log = logging.getLogger("skylamp")
 COARSEST = 16  # nodes on the shorter side of the coarsest grid
@@ -57,9 +59,9 @@ class Level(NamedTuple):
     seconds: float
 
 
-def noise_of(image: np.ndarray) -> float:
+def noise_of(image: np.ndarray, known: np.ndarray) -> float:
     """Standard deviation of white noise in an image: what a cross of second differences leaves (Immerkaer
-    1996, with a median).
+    1996, with a median), where all nine pixels are known (rows, cols); 0 if none are.
 
     Fine relief contributes too, but its variance is TEXTURE times as large on the next coarser grid, where
     noise, scaled to that of one pixel, has the same variance. That separates the two.
@@ -70,10 +72,12 @@ def noise_of(image: np.ndarray) -> float:
     def second(v: np.ndarray) -> np.ndarray:
         return np.asarray(v[:-2] - 2 * v[1:-1] + v[2:])
 
-    left = [
-        float(np.median(np.abs(second(second(v).T)))) / (NORMAL_QUARTILE * CROSS_NORM)
-        for v in (image, 2 * halved(image))
-    ]
+    left = []
+    for values, weight in ((image, known), (2 * halved(image), halved(known))):
+        crosses = np.abs(second(second(values).T).T)[sliding_window_view(weight == 1, (3, 3)).all((2, 3))]
+        if not crosses.size:
+            return 0.0
+        left.append(float(np.median(crosses)) / (NORMAL_QUARTILE * CROSS_NORM))
     return math.sqrt(max(0.0, TEXTURE * left[0] ** 2 - left[1] ** 2) / (TEXTURE - 1))
 
 
@@ -96,8 +100,12 @@ class Pyramid:
     """The problem on all grids. Lengths in nodes of the finest grid outside, in each grid's own inside.
 
     images (rows, cols) radiance; albedo a number or (rows, cols), or None: to be found; near, far (rows,
-    cols) bounds; interreflection: whether ground lights ground. ``stop``: asked after every step whether to
-    end; ``report``: called with every level that was reached.
+    cols) bounds; interreflection: whether ground lights ground; known (rows, cols) of every image: the pixels
+    to explain, all if None. ``stop``: asked after every step whether to end; ``report``: called with every
+    level that was reached.
+
+    Of every grid: seen, the images; weights, the share of each of their pixels that is known; images, what is
+    explained, seen times weights.
     """
 
     def __init__(
@@ -112,26 +120,33 @@ class Pyramid:
         interreflection: bool = False,
         stop: Callable[[], bool] = lambda: False,
         report: Callable[[Level], None] = lambda level: None,
+        known: list[np.ndarray] | None = None,
     ):
         self.engine, self.sources, self.sides, self.stop, self.report = engine, lights, sides, stop, report
         self.began, self.interreflection = time.perf_counter(), interreflection
-        self.units = [math.sqrt(float(np.mean(np.square(image)))) / IMAGE_RMS for image in images]
+        weights = [np.ones(image.shape) for image in images] if known is None else known
+        explained = [image * weight for image, weight in zip(images, weights)]
+        self.units = [math.sqrt(float(np.mean(np.square(image)))) / IMAGE_RMS for image in explained]
         # where brightness is a number, models are of 1: light so many times as strong is a unit so many times
         # as small
         self.scales = [unit / sources.number_of(source) for unit, source in zip(self.units, lights)]
-        self.images = [[image / unit for image, unit in zip(images, self.units)]]
+        self.seen, self.images = (
+            [[image / unit for image, unit in zip(all_of, self.units)]] for all_of in (images, explained)
+        )
+        self.weights = [[weight.astype(float) for weight in weights]]
         self.bounds = [(near, far)]
         self.albedo_known = albedo is not None
         # if it is not known: what is expected
         self.albedo = [np.broadcast_to(np.asarray(1.0 if albedo is None else albedo, float), images[0].shape)]
         while min(self.images[-1][0].shape) >= 2 * COARSEST:
-            self.images.append([halved(image) for image in self.images[-1]])
+            for grids in (self.seen, self.images, self.weights):
+                grids.append([halved(values) for values in grids[-1]])
             low, high = self.bounds[-1]
             self.bounds.append((halved(low) / 2, halved(high) / 2))
             self.albedo.append(halved(self.albedo[-1]))
         self.coarsest = len(self.images) - 1
         self.start = grid_of_starts([level[0].shape for level in self.images])
-        self.noise = math.sqrt(float(np.mean([noise_of(image) ** 2 for image in self.images[0]])))
+        self.noise = math.sqrt(float(np.mean(np.square(list(map(noise_of, self.seen[0], self.weights[0]))))))
         # by number, since a source may hold what cannot be hashed
         self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems: dict[int, Descent] = {}
@@ -154,9 +169,24 @@ class Pyramid:
     def is_small(self, level: int) -> bool:
         return max(self.shape(level)) <= SMALL
 
+    @property
+    def has_gaps(self) -> bool:
+        return any((weight < 1).any() for weight in self.weights[0])
+
+    def away(self, level: int) -> np.ndarray:
+        """(rows, cols) nodes of this grid from every node to the nearest that an image shows a part of."""
+        return distance_from(np.max(self.weights[level], axis=0) > 0)
+
+    def filled(self) -> Pyramid:
+        """The problem of the images with their gaps filled."""
+        whole = copy.copy(self)
+        whole.images, whole.problems = list(self.seen), {}
+        whole.weights = [[np.ones(weight.shape) for weight in level] for level in self.weights]
+        return whole
+
     def _expect_albedo(self, level: int, z: np.ndarray) -> None:
         """Expects the median of the albedo at z everywhere, from here on."""
-        self.expected_albedo = float(np.median(self.problem(level).fitted_albedo(z)))
+        self.expected_albedo = float(np.median(self.problem(level).fitted_albedo(z)[self.away(level) == 0]))
         for problem in self.problems.values():
             assert problem.albedo is not None, "the albedo is not known"
             problem.albedo.set_prior(self.expected_albedo)
@@ -182,8 +212,10 @@ class Pyramid:
                 self.shape(level),
                 self.sides,
                 [
-                    (light, self.albedo[level] / (math.pi * scale), image)
-                    for light, scale, image in zip(lights, self.scales, self.images[level])
+                    (light, self.albedo[level] * weight / (math.pi * scale), image)
+                    for light, scale, image, weight in zip(
+                        lights, self.scales, self.images[level], self.weights[level]
+                    )
                 ],
                 *self.bounds[level],
                 self.albedo_known,
@@ -198,7 +230,7 @@ class Pyramid:
         """What the ground sends to ground, in each model's unit; None where that is left out."""
         if not self.interreflection:
             return None
-        return [image * scale for image, scale in zip(self.images[level], self.scales)]
+        return [image * scale for image, scale in zip(self.seen[level], self.scales)]
 
     def lights(self, shape: tuple[int, int], scale: float, azimuths: int) -> list[Light]:
         """The sources for a grid, see light_of."""

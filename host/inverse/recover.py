@@ -19,7 +19,7 @@ from ..directions import Hemicube
 from ..errors import bad
 from ..interreflection import check_choice
 from ..light.propagation import Progress
-from ..scene import Scene, check_spacing
+from ..scene import Scene, check_spacing, known_of, mask_of
 from . import diagnostics
 from .by_light import by_light
 from .carving import carved_layers
@@ -27,7 +27,7 @@ from .confidence import UNTRUSTED, confidence_of, judgement_of
 from .finer_model import refit_of
 from .multigrid import Multigrid
 from .pyramid import NEAREST, Level, Pyramid, share_of_images
-from .resampling import doubled, halved_depth
+from .resampling import doubled, filled, halved_depth
 from .search import OutOfTime, Rival, Search
 
 RECOVER_METHODS = ("robust", "paper")
@@ -65,11 +65,12 @@ class Recovery:
     the depth itself, and other depths at which a pixel has its value while the surface goes up or down as a
     whole, nan where there is none; ambiguous (rows, cols) bool: there are such, and the confidence is below
     0.5; drilled (rows, cols) bool: columns that carving went through to the back; residual (rows, cols)
-    float32: model - image of the first image, or of the mean of those of its light (0 for the paper's
-    method); albedo (rows, cols) float32: that which was found, None if it was given; levels: shape, residual
-    and seconds of every grid, of direct light where the search was there by that alone; backend (its name);
-    seconds without compiling, compile_seconds; warnings; interreflection: whether the model of the
-    images has light between surfaces. Arrays of an image that is an xarray.DataArray are some too.
+    float32: model - image of the first image, or of the mean of those of its light, nan where that does not
+    count (0 for the paper's method); albedo (rows, cols) float32: that which was found, None if it was given;
+    levels: shape, residual and seconds of every grid, of direct light where the search was there by that
+    alone; backend (its name); seconds without compiling, compile_seconds; warnings; interreflection: whether
+    the model of the images has light between surfaces. Arrays of an image that is an xarray.DataArray are
+    some too.
     """
 
     depth: np.ndarray
@@ -105,6 +106,7 @@ def recover(
     backend: str = "auto",
     *,
     interreflection: bool | str = "auto",
+    mask: Any = None,
     progress: Progress | None = None,
 ) -> Recovery:
     """Depth from one image, or from several of the same surface.
@@ -140,6 +142,10 @@ def recover(
         :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
         its residual is less than a quarter of the other; std includes the answer that is not used, where it
         explains the images about as well. It is several times as fast: False if it suffices.
+    mask : (rows, cols) bool array, or a list of such, one per image, optional
+        Of method="robust": True where the image counts. Elsewhere, as at highlights, saturated pixels or
+        the background, it may hold anything, and depth goes on smoothly from around; std there is that of
+        such a surface. Gaps of a DataArray (nan, _FillValue) do not count either.
     progress : callable, optional
         Called with (levels or layers done, their number). Residuals of levels go to the logger "skylamp".
 
@@ -154,7 +160,7 @@ def recover(
     check_choice(interreflection)
     if not (progress is None or callable(progress)):
         raise bad("progress", repr(progress), "a function of (done, their number), or None")
-    given = _checked(image, source, albedo, sides, spacing, layers, method)
+    given = _checked(image, source, albedo, sides, spacing, layers, method, mask)
     eps = positive_number(eps, "eps")
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     engine = select(backend)
@@ -163,7 +169,8 @@ def recover(
             limits = _limits(near, far, max_seconds, given)
             given.warnings.extend(_unused(hemicube=hemicube, eps=eps, stop=stop))
             return _labelled(_recovered(given, limits, engine, progress, interreflection), given.labels)
-    _check_carving(given.several, near, far, interreflection)
+    has_gaps = not all(known.all() for known in given.known)
+    _check_carving(given.several, near, far, interreflection, has_gaps)
     with within(max_seconds, "recover", engine):
         return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
 
@@ -175,9 +182,10 @@ def _unused(**given: Any) -> list[str]:
     return [f"Not used: {', '.join(names)}. Only method 'paper' has them."] if names else []
 
 
-def _check_carving(several: bool, near: Any, far: Any, interreflection: bool | str) -> None:
+def _check_carving(several: bool, near: Any, far: Any, interreflection: bool | str, has_gaps: bool) -> None:
     """InputError for arguments that method "paper" cannot use."""
     given = {"lists of images": several, "near": near is not None, "far": far is not None}
+    given["mask"] = has_gaps
     given["interreflection=True"] = interreflection is True
     if any(given.values()):
         got = ", ".join(name for name, is_given in given.items() if is_given)
@@ -191,6 +199,7 @@ class _Given:
     """
 
     images: list[np.ndarray]
+    known: list[np.ndarray]  # (rows, cols) bool of each: where it counts; elsewhere it is interpolated
     lights: list[sources.Source]
     several: bool  # lists were given
     labels: Labels | None
@@ -202,7 +211,7 @@ class _Given:
 
 
 def _checked(
-    image: Any, source: Any, albedo: Any, sides: str, spacing: float, layers: int, method: str
+    image: Any, source: Any, albedo: Any, sides: str, spacing: float, layers: int, method: str, mask: Any
 ) -> _Given:
     several = isinstance(image, (list, tuple)) and isinstance(source, (list, tuple))
     if not several and isinstance(image, (list, tuple)) and len(image) and getattr(image[0], "ndim", 0) == 2:
@@ -218,13 +227,18 @@ def _checked(
     for number, other in enumerate(images, 1):
         lies_on(labels, other, f"image {number}")
     lies_on(labels, albedo, "albedo")
-    images = [_radiance(picture) for picture in images]
+    masks = list(mask) if isinstance(mask, (list, tuple)) and several else [mask] * len(images)
+    if len(masks) != len(images):
+        raise bad("mask: masks", len(masks), f"one, or a list of {len(images)}, one per image")
+    for given in masks:
+        lies_on(labels, given, "mask")
+    images, known = map(list, zip(*map(_radiance, images, masks)))
     if len({picture.shape for picture in images}) > 1:
         raise bad("images of different shape", [picture.shape for picture in images], "one shape")
     for light in lights:
         _check_light(light)
-    merged = by_light(images, lights)
-    images, lights = merged.images, merged.lights
+    merged = by_light(images, lights, known)
+    images, lights = list(map(filled, merged.images, merged.known)), merged.lights
     whole_number(layers, "layers", 1, MOST_LAYERS - 1)
     if albedo is None and (len(images) == 1 or method != "robust"):
         raise bad(
@@ -246,13 +260,21 @@ def _checked(
         raise bad("albedo", 0.0, "> 0: a black surface tells nothing of its depth")
     lights = [sources.on_axes(light, axes_of(labels)) for light in lights]
     return _Given(
-        images, lights, several, labels, scene, albedo is not None, int(layers), merged.names, merged.warnings
+        images,
+        merged.known,
+        lights,
+        several,
+        labels,
+        scene,
+        albedo is not None,
+        int(layers),
+        merged.names,
+        merged.warnings,
     )
 
 
-def _radiance(values: Any) -> np.ndarray:
-    if isinstance(values, np.ma.MaskedArray):
-        raise bad("image: a numpy masked array", "gaps", "an image without gaps", "Cut it, or fill them.")
+def _radiance(values: Any, mask: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The image (rows, cols) float64, 0 where it does not count, and (rows, cols) bool: where it does."""
     image = as_real(values, "image")
     if image.dtype in (np.uint8, np.uint16):
         raise bad(
@@ -262,17 +284,21 @@ def _radiance(values: Any) -> np.ndarray:
             f"Divide it by {np.iinfo(image.dtype).max}, and multiply by the radiance of the largest count;"
             " of a photograph take skylamp.io.linear(image), since sRGB is not linear.",
         )
+    known = known_of(values, labels_of(values), mask_of(mask, image.shape))
+    known = np.ones(image.shape, bool) if known is None else known
     image = image.astype(np.float64)
-    wrong = ~(np.isfinite(image) & (image >= 0))
+    wrong = known & ~(np.isfinite(image) & (image >= 0))
     if wrong.any():
         raise bad(
             f"image: {wrong.sum()} values are negative, NaN or infinite, first {at(wrong)}",
             image[wrong][0],
-            "finite radiance >= 0",
+            "finite radiance >= 0 wherever the mask is True",
+            "Pass mask=numpy.isfinite(image) to leave gaps out.",
         )
+    image = np.where(known, image, 0.0)
     if image.max() < np.finfo(np.float32).tiny:
-        raise bad("image: black everywhere", f"maximum {image.max()}", "at least one lit pixel")
-    return image
+        raise bad("image: black everywhere", f"maximum {image.max()}", "at least one lit pixel that counts")
+    return image, known
 
 
 def _check_light(light: Any) -> None:
@@ -451,12 +477,19 @@ def _answer(
     levels, reached = list[Level]() if direct is None else direct.levels.copy(), set[tuple[int, ...]]()
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
     warnings = diagnostics.of_images(
-        given.images, lights, scene, float(limits.high.max()), given.albedo_given
+        given.images, given.known, lights, scene, float(limits.high.max()), given.albedo_given
     )
     warnings.extend(given.warnings)
-    albedo = scene.albedo if given.albedo_given else None
-    bounds = np.maximum(limits.low, NEAREST), limits.high
-    pyramid = Pyramid(engine, given.images, lights, albedo, scene.sides, *bounds, direct is not None)
+    pyramid = Pyramid(
+        engine,
+        given.images,
+        lights,
+        scene.albedo if given.albedo_given else None,
+        scene.sides,
+        *(np.maximum(limits.low, NEAREST), limits.high),
+        direct is not None,
+        known=given.known,
+    )
 
     def report(level: Level) -> None:
         levels[:] = [other for other in levels if other.shape != level.shape] + [level]
@@ -511,12 +544,15 @@ def _recovery(
         )
         levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), spent())]
     warnings = [*answer.warnings, *diagnostics.of_free_place(judged.place, pyramid.sources)]
-    warnings += diagnostics.of_limits(z, low, high)
+    warnings += [*diagnostics.of_gaps(pyramid), *diagnostics.of_limits(z, low, high)]
     for name, residual in zip(given.names if len(residuals) > 1 else ["image"], residuals):
         warnings += diagnostics.of_residual(pyramid, residual, name)
     place_is_known = not (judged.place or diagnostics.of_place(pyramid.sides, pyramid.sources))
     warnings += diagnostics.of_ground(pyramid, levels[-1].residual if levels else 0.0)
-    warnings += diagnostics.of_confidence(confidence, ambiguous, given.albedo_given, place_is_known)
+    counts = np.any(given.known, axis=0)
+    warnings += diagnostics.of_confidence(
+        confidence[counts], ambiguous[counts], given.albedo_given, place_is_known
+    )
 
     depth = (z * scene.spacing).astype(np.float32)
     return Recovery(
@@ -531,7 +567,7 @@ def _recovery(
         candidates=np.concatenate([depth[None], (judged.others * scene.spacing).astype(np.float32)]),
         ambiguous=ambiguous,
         albedo=None if given.albedo_given else pyramid.albedo[0].astype(np.float32),
-        residual=(residuals[0] * pyramid.units[0]).astype(np.float32),
+        residual=np.where(given.known[0], residuals[0] * pyramid.units[0], np.nan).astype(np.float32),
         levels=tuple(levels),
         interreflection=pyramid.interreflection,
     )

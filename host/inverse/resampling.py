@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 
 def halved(values: np.ndarray) -> np.ndarray:
@@ -11,6 +12,26 @@ def halved(values: np.ndarray) -> np.ndarray:
     values = np.pad(values, ((0, rows % 2), (0, cols % 2)), mode="edge")
     means: np.ndarray = values.reshape(values.shape[0] // 2, 2, values.shape[1] // 2, 2).mean((1, 3))
     return means
+
+
+def filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """total / weight where weight > 0; elsewhere what coarser grids have there (push-pull, Gortler et al.
+    1996). At least one weight is > 0.
+    """
+    means: np.ndarray = total / np.where(weight > 0, weight, 1)
+    if (weight > 0).all():
+        return means
+    around = doubled(filled(halved(total), halved(weight)), total.shape)
+    return np.where(weight > 0, means, around)
+
+
+def distance_from(known: np.ndarray) -> np.ndarray:
+    """Of every node the number of steps, also diagonal ones, to the nearest known one, (rows, cols) bool."""
+    near, distance = np.asarray(known), np.zeros(known.shape)
+    while not near.all():
+        distance += ~near
+        near = np.asarray(sliding_window_view(np.pad(near, 1), (3, 3)).any((2, 3)))
+    return distance
 
 
 def halved_depth(z: np.ndarray) -> np.ndarray:

@@ -167,7 +167,7 @@ def _is_even(search: Search) -> bool:
 def _darkness(search: Search) -> np.ndarray:
     """How dark the images are, where the search begins: mean 0, standard deviation 1, or 0 of even images."""
     dark = np.zeros(search.pyramid.shape(search.pyramid.start))
-    for image in search.pyramid.images[search.pyramid.start]:
+    for image in search.pyramid.seen[search.pyramid.start]:
         dark -= (image - image.mean()) / max(float(image.std()), LEAST_CONTRAST)
     dark /= max(float(dark.std()), LEAST_CONTRAST)
     return dark
@@ -250,6 +250,18 @@ def _after_rounds(
         search.check_time()
     answers.append(_of_mosaic(search, level, answers))
     return _best(answers)
+
+
+def start_filled(search: Search) -> None:
+    """From the answer to the images with their gaps filled, if they have gaps: this answer is the first then.
+    Otherwise ground that no image shows may hide light from what they show, and be anything.
+    """
+    pyramid = search.pyramid
+    if pyramid.has_gaps:
+        filled = Multigrid(pyramid.filled(), search.several)
+        z = filled.solve(*search.begun, search.level, accept=False).depth
+        search.answers.insert(0, search.multigrid.relax(search.level, z, ()))
+        pyramid.accept(search.level, search.answers[0].depth)
 
 
 def start_shallower(search: Search) -> None:
@@ -354,6 +366,7 @@ STAGES: tuple[Callable[[Search], None], ...] = (
     start_flat,
     start_relief,
     start_stronger,
+    start_filled,
     start_shallower,
     join,
     compare,
