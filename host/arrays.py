@@ -290,7 +290,8 @@ def spacing_of(labels: Labels | None) -> float:
             "even steps, the same along both axes",
             "Resample the map to square cells.",
         )
-    if (text := stretched(_stretch(labels))) is not None:
+    factors = factors_of(labels)  # of areas, so that the root is length on the map over that on the ground
+    if (text := stretched(1.0 if factors is None else math.sqrt(factors.areal_scale))) is not None:
         warnings.warn(text, stacklevel=2)
     return float(np.mean([step.mean() for step in steps if step.size]))
 
@@ -327,16 +328,16 @@ def _system(labels: Labels) -> tuple[str, Any]:
         return wkt, None
 
 
-def _stretch(labels: Labels) -> float:
-    """Length on the map over that on the ground, at its middle; 1 where that is not known."""
+def factors_of(labels: Labels) -> Any:
+    """The factors of the projection at the middle of a map, by pyproj; None where there is no projection."""
     system = _system(labels)[1]
     lines = [_positions(labels, name) for name in labels.dims[-2:]]
     if system is None or not system.is_projected or any(line is None for line in lines):
-        return 1.0
+        return None
     pyproj = importlib.import_module("pyproj")
     to_degrees = pyproj.Transformer.from_crs(system, system.geodetic_crs, always_xy=True)
     place = to_degrees.transform(*(float(line.mean()) for line in lines[::-1]))
-    return math.sqrt(pyproj.Proj(system).get_factors(*place).areal_scale)
+    return pyproj.Proj(system).get_factors(*place)
 
 
 def stretched(stretch: float) -> str | None:
@@ -367,6 +368,10 @@ def axes_of(labels: Labels | None) -> tuple[float, float]:
         raise bad(
             "shape of a DataArray", labels.dims, "rows and columns", "Of several bands take one: dem[0]."
         )
+    for name in labels.dims:
+        coordinate = labels.coords.get(name)
+        if coordinate is not None and coordinate.dtype.kind not in "iuf":
+            raise bad(f"coordinate {name!r} of a map", f"dtype {coordinate.dtype}", "numbers: lengths")
     rows, cols = labels.dims
     attrs = getattr(labels.coords.get(rows), "attrs", {})
     if any(str(told).lower() in ALONG_X for told in (rows, attrs.get("axis"), attrs.get("standard_name"))):

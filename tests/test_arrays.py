@@ -244,6 +244,18 @@ def test_a_dataarray_brings_spacing_and_holes(labelled, fast):
         sl.Scene.from_height(labelled.values)
 
 
+@pytest.mark.parametrize(
+    "along", [np.arange(18).astype("datetime64[h]"), np.array([f"s{i}" for i in range(18)])]
+)
+def test_a_dataarray_along_time_is_no_map(labelled, along):
+    """It was taken for one without coordinates."""
+    rows = labelled.dims[0]
+    told = labelled.assign_coords({rows: along})
+    for work in (sl.sky_view_factor, sl.Scene.from_height, sl.Scene):
+        with pytest.raises(sl.InputError, match=f"coordinate '{rows}' of a map.*allowed: numbers"):
+            work(told)
+
+
 def test_an_empty_dataarray_is_one_error(labelled):
     """As a selection is that takes rows the wrong way round; it was an IndexError."""
     for given in (labelled, labelled.chunk()):

@@ -133,6 +133,79 @@ def test_a_projection_that_stretches_the_map_is_told(tmp_path, crs, east, north,
     assert [f"{stretch} times" in text for text in texts] == ([True] if stretch else [])
 
 
+def test_a_spacing_that_is_given_silences_its_warnings(tmp_path):
+    """The cure that a warning names: of lengths on the map, and of units."""
+    path = make(tmp_path / "dem.tif", crs="EPSG:3857", transform=from_origin(4e5, 5.9e6, 25, 25))
+    feet = make(tmp_path / "feet.tif", crs="EPSG:2263", transform=from_origin(9.8e5, 2e5, 25, 25))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for file in (path, feet):
+            assert geo.read(file, spacing=17.1).spacing == geo.header(file, spacing=17.1).spacing == 17.1
+            with pytest.raises(UserWarning, match="Projection|Unit of height"):
+                geo.read(file)
+    refused("spacing: got -1", geo.read, path, spacing=-1)
+
+
+@pytest.mark.parametrize(
+    ("crs", "longitude", "latitude"),
+    [
+        ("EPSG:3035", 24.0, 60.5),
+        ("EPSG:3413", 16.0, 78.0),
+        ("EPSG:32633", 12.2, 60.0),
+        ("EPSG:2193", 168.0, -45.0),
+    ],
+)
+def test_the_convergence_is_that_of_pyproj(tmp_path, crs, longitude, latitude):
+    """At the middle of the map, of a path, a raster and a DataArray alike; south-up files too."""
+    pyproj, rioxarray = pytest.importorskip("pyproj"), pytest.importorskip("rioxarray")
+    expected = pyproj.Proj(crs).get_factors(longitude, latitude).meridian_convergence
+    x, y = pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(longitude, latitude)
+    sides = 30 * HEIGHT.shape[1] / 2, 30 * HEIGHT.shape[0] / 2
+    for transform in (
+        from_origin(x - sides[0], y + sides[1], 30, 30),
+        Affine(30, 0, x - sides[0], 0, 30, y - sides[1]),
+    ):
+        path = make(tmp_path / "dem.tif", crs=crs, transform=transform)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of lengths on the map
+            maps = path, str(path), geo.read(path), rioxarray.open_rasterio(path)[0]
+        for dem in maps:
+            assert geo.convergence(dem) == pytest.approx(expected, abs=1e-5)
+
+
+def test_no_projection_no_convergence(tmp_path):
+    for name, options in {
+        "moon": dict(crs=MOON),
+        "degrees": dict(crs="EPSG:4326", transform=from_origin(5, 40, 1e-3, 1e-3)),
+        "none": dict(crs=None),
+    }.items():
+        assert geo.convergence(make(tmp_path / f"{name}.tif", **options)) == 0.0
+    refused("convergence: got ndarray", geo.convergence, HEIGHT)
+
+
+def test_a_sun_by_time_and_place_stands_in_the_axes_of_the_map(tmp_path, fast):
+    """--sun TIME,LAT,LON over Finland on the map of Europe: 12 degrees from the same numbers as AZ,EL."""
+    pytest.importorskip("pvlib")
+    path = make(
+        tmp_path / "dem.tif",
+        np.maximum(HEIGHT, 0),
+        crs="EPSG:3035",
+        transform=from_origin(5.09e6, 4.26e6, 30, 30),
+    )
+    time, place = "2026-03-20T08:00Z", (60.5, 24.0)
+    azimuth, elevation = sl.sun_position(time, *place)
+    turned = azimuth - geo.convergence(path)
+    assert abs(turned - azimuth) > 10
+    images = []
+    for sun in (f"{time},60.5,24", f"{turned},{elevation}", f"{azimuth},{elevation}"):
+        out = tmp_path / "light.tif"
+        options = ("--source", "clear", "--sun", sun, "--direct", "5", "--backend", fast)
+        assert run("render", path, out, *options) == 0
+        images.append(geo.read(out).values)
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-5)
+    assert abs(images[0] - images[2]).max() > 0.02 * images[0].max()
+
+
 @pytest.mark.parametrize(
     "light", [("--lamp", "730195,4069880,-9,3"), ("--window", "730100,730200,4069800,4069900")]
 )
@@ -330,7 +403,7 @@ def test_units(tmp_path):
 
 
 def test_recover_keeps_spacing_and_georeference(tmp_path, fast):
-    """Of an image that is a GeoTIFF: depth and std lie where it does; what has no data is refused."""
+    """Of an image that is a GeoTIFF: depth and std lie where it does; cells without data do not count."""
     rng = np.random.default_rng(2)
     image = rng.uniform(0.05, 0.09, (12, 10)).astype(np.float32)
     path, out, std = make(tmp_path / "i.tif", image), tmp_path / "d.tif", tmp_path / "s.tif"
@@ -339,8 +412,17 @@ def test_recover_keeps_spacing_and_georeference(tmp_path, fast):
     assert facts(out)[:2] == facts(std)[:2] == facts(path)[:2]
     spacing = geo.read(path).spacing
     assert spacing > 5 and spacing < geo.read(out).values.max() <= 6 * spacing
+    options = *options, "--max-seconds", "100"  # so that no clock decides
     image[3, 4] = -32768
-    assert run("recover", make(tmp_path / "i.tif", image), "--out", out, *options) == 3
+    assert run("recover", make(tmp_path / "i.tif", image), "--out", out, *options) == 0
+    image[3, 4] = 0.07
+    mask = np.ones(image.shape)
+    mask[3, 4] = 0
+    io.write(tmp_path / "m.npy", mask)
+    masked = tmp_path / "e.tif"
+    path = make(tmp_path / "i.tif", image)
+    assert run("recover", path, "--out", masked, "--mask", tmp_path / "m.npy", *options) == 0
+    np.testing.assert_array_equal(geo.read(out).values, geo.read(masked).values)
 
 
 def test_depth_and_spacing_can_be_told(tmp_path, fast):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compare import assert_bits_equal
+from surfaces import rms
 from test_scale import mountains
 
 import skylamp as sl
@@ -246,6 +247,7 @@ def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, capsys, more, co
         (["--memory", "300MB", "--azimuths", "4"], 1, "memory"),
         (["--memory", "300MB", "--tile", "256"], 1, "one with --tile 256 needs at least"),
         (["--memory", "3GB", "--sides", "dark"], 2, "open sides"),
+        (["--memory", "3GB", "--spacing", "-1"], 3, "spacing"),
         (["--memory", "3GB", "--what", "slopes"], 3, "openness"),
         (["--memory", "3GB", "--workers", "0"], 3, "workers"),
         (["--memory", "3GB", "--tile", "1000"], 3, "tile"),
@@ -255,6 +257,20 @@ def test_what_an_image_in_tiles_does_not_go_with(dem, tmp_path, capsys, more, co
 def test_what_does_not_go_with_memory(dem, tmp_path, capsys, more, code, what):
     """One error, before a worker is started."""
     refused("horizon", dem[0], tmp_path, capsys, more, code, what)
+
+
+def test_another_spacing_goes_with_memory(dem, tmp_path):
+    """As of the whole map, which with its own spacing has other sky-view factors."""
+    path, heights = dem
+    scenes = (
+        sl.Scene.from_height(np.nan_to_num(heights), spacing, mask=np.isfinite(heights))
+        for spacing in (12.5, 30.0)
+    )
+    assert run(path, tmp_path / "svf.tif", "--spacing", "12.5")[0] == 0
+    found = geo.read(tmp_path / "svf.tif").values
+    known = np.isfinite(heights)
+    near, far = (rms((found - sl.sky_view_factor(scene, azimuths=8))[known]) for scene in scenes)
+    assert near < 1e-3 and far > 0.05
 
 
 def test_a_damaged_file_is_one_error(dem, tmp_path):

@@ -131,6 +131,20 @@ def test_hours_are_weights_and_substeps_follow_the_track():
     assert abs(many.image - one.image).max() > 1
 
 
+def test_convergence_turns_the_suns():
+    """By as many degrees from east to north as the map's north lies east of true north."""
+    options = dict(dni=[500.0] * 6, dhi=[0.0] * 6)
+    plain, turned = (sl.sky_over_time(DAY, *PLACE, convergence=angle, **options) for angle in (0.0, 12.0))
+    when = next(time for time in DAY if sun_at(time)[1] > 20)
+    azimuth, elevation = np.radians(sun_at(when))
+    there = [
+        np.array([np.sin(a) * np.cos(elevation), -np.cos(a) * np.cos(elevation), -np.sin(elevation)])
+        for a in (azimuth, azimuth - np.radians(12.0))
+    ]
+    assert plain(there[0]) > 100 * turned(there[0]) and turned(there[1]) > 100 * plain(there[1])
+    assert turned.ghi == pytest.approx(plain.ghi, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_a_valley_gets_the_sum_of_its_hours(fast):
     """One render of the sum against a render of every sky, shadows and all."""
@@ -173,6 +187,7 @@ def test_a_valley_gets_the_sum_of_its_hours(fast):
         ({"model": [12, 12]}, "6 such types"),
         ({"latitude": 91.0}, "latitude"),
         ({"substeps": 0}, "substeps"),
+        ({"convergence": np.inf}, "convergence: got inf"),
         ({"substeps": 1.5}, "substeps"),
     ],
 )

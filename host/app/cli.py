@@ -122,7 +122,7 @@ def render(
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     _check_png(exposure, out, white, bits)
     surface = parsing.reflectance(albedo, specular, exponent)
-    light = parsing.source(source, lamp, window, sun, direct, horizontal)
+    light = parsing.source(source, lamp, window, sun, direct, horizontal, file=file)
     asked = method != "auto" or azimuths or max_distance or hemicube or filled is not None
     between = parsing.INTERREFLECTION[interreflection]
     options: dict[str, Any] = dict(
@@ -137,11 +137,11 @@ def render(
         interreflection=between,
     )
     if machines.asked:
-        to_read = height is False, spacing, nodata, resample, sides != "open"
+        to_read = height is False, nodata, resample, sides != "open"
         others = *to_read, white, bits != 8, exposure, error
         out_of_core.checked_output(IN_TILES, out, others)
         words = dict(albedo=albedo, source=source, sun=sun, direct=direct, horizontal=horizontal)
-        work = out_of_core.image(file, surface, light, backend, words, **options)
+        work = out_of_core.image(file, surface, light, backend, words, spacing, **options)
         return _by_tiles(file, out, work, machines, as_json)
     scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
     parsing.check_place(light, raster)
@@ -245,7 +245,7 @@ def plan(
     """Print the cheapest model of a scene within a tolerance, with a reason for every choice."""
     surface = parsing.reflectance(albedo, specular, exponent)
     scene, raster = parsing.scene(file, height, spacing, surface, nodata, sides, resample)
-    light = parsing.source(source, lamp, window, sun, direct, horizontal)
+    light = parsing.source(source, lamp, window, sun, direct, horizontal, file=file)
     parsing.check_place(light, raster)
     with output.progress_bar("planning"):
         made = sl.plan(
@@ -309,10 +309,10 @@ def recover(
         raise typer.BadParameter("it goes with --method robust", param_hint="--std")
     picture = _checked_picture(picture, out, method)
     output.check_apart((file, source, mask), out, std, picture, figure)
-    image, raster = parsing.radiance(file, white, resample)
+    image, raster = parsing.radiance(file, white, resample, spacing)
     known = parsing.where_known(image, raster, mask)
     spacing = parsing.spacing_of(spacing, raster)
-    light = parsing.source(source, lamp, window, sun)
+    light = parsing.source(source, lamp, window, sun, file=file)
     parsing.check_place(light, raster)
     options: dict[str, Any] = dict(albedo=albedo, sides=sides, layers=layers, hemicube=hemicube, eps=eps)
     options |= dict(stop=stop, near=near, far=far, max_seconds=max_seconds, backend=backend)
@@ -408,9 +408,9 @@ def horizon(
         )
     machines = out_of_core.Machines(memory, workers, scheduler, tile, resume, cog)
     if machines.asked:
-        others = picture, height is False, spacing, nodata, resample, sides != "open"
+        others = picture, height is False, nodata, resample, sides != "open"
         out = out_of_core.checked_output("--what, --definition, --azimuths, --max-distance", out, others)
-        work = out_of_core.horizon(what, definition, azimuths, max_distance, backend)
+        work = out_of_core.horizon(what, definition, azimuths, max_distance, backend, spacing)
         return _by_tiles(file, out, work, machines, as_json, what=what)
     quantities = {
         "sky-view-factor": partial(sl.sky_view_factor, definition=definition),
@@ -418,7 +418,7 @@ def horizon(
         "negative-openness": partial(sl.openness, negative=True),
         "slopes": sl.horizons,
     }
-    node, sky = parsing.node(at) if at else None, parsing.sky(source, sun)
+    node, sky = parsing.node(at) if at else None, parsing.sky(source, sun, file)
     scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
     maps: np.ndarray | None = None
     with output.progress_bar("looking for horizons"):
@@ -475,7 +475,7 @@ def field(
     if layer is not None and not out:
         raise typer.BadParameter("goes with an output file, --out", param_hint="--layer")
     scene, raster = parsing.scene(file, height, spacing, None, nodata, sides, resample)
-    light = parsing.source(source, lamp, window, sun)
+    light = parsing.source(source, lamp, window, sun, file=file)
     parsing.check_place(light, raster)
     with output.progress_bar("propagating") as progress:
         done = sl.visibility_field(

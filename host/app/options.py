@@ -82,8 +82,8 @@ Sun = Annotated[
     unset(
         metavar="AZ,EL | TIME,LAT,LON",
         help=(
-            "Position of the sun, for clear and cie skies: degrees clockwise from north and above the"
-            " horizon, or 2026-06-21T12:00Z and degrees north and east"
+            "Position of the sun, for clear and cie skies: degrees clockwise from the map's north and above"
+            " the horizon, or 2026-06-21T12:00Z and degrees north and east"
         ),
     ),
 ]

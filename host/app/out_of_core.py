@@ -46,8 +46,8 @@ PER_NODE, BESIDES = 80, 6 * 10**8
 TILES = 8192, 4096, 2048, 1024  # sides of tiles of which the largest is taken that fits
 # the error where these options are combined with others
 COMPATIBLE = (
-    "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --backend, --tile, --workers,"
-    " --scheduler, --resume, --cog and {} only"
+    "a GeoTIFF of heights to a GeoTIFF, with open sides: it goes with --out, --spacing, --backend, --tile,"
+    " --workers, --scheduler, --resume, --cog and {} only"
 )
 # of the page of Dask, which it makes unasked: of two runs at once, both have one without a warning
 ANY_PORT = "127.0.0.1:0"
@@ -116,6 +116,7 @@ class Quantity(NamedTuple):
     bands: int = 1
     albedo: Any = ALBEDO
     between: bool | None = False  # with light between surfaces; None: as all tiles decide
+    spacing: float | None = None  # another one than the file's
 
 
 class Job(NamedTuple):
@@ -132,7 +133,14 @@ class Job(NamedTuple):
     backend: str = ""
 
 
-def horizon(what: str, definition: str, azimuths: int, max_distance: float | None, backend: str) -> Quantity:
+def horizon(
+    what: str,
+    definition: str,
+    azimuths: int,
+    max_distance: float | None,
+    backend: str,
+    spacing: float | None = None,
+) -> Quantity:
     """One quantity of `skylamp horizon`."""
     options: dict[str, Any] = dict(azimuths=sectors_of(azimuths), backend=backend)
     works: dict[str, Any] = {
@@ -143,20 +151,25 @@ def horizon(what: str, definition: str, azimuths: int, max_distance: float | Non
     if what not in works:
         raise bad("--what of a map in tiles", repr(what), " | ".join(works))
     settings = dict(what=what, definition=definition, azimuths=azimuths, max_distance=max_distance)
-    return Quantity(
-        works[what], Audit(backend), settings, max_distance, -1.0 if what.startswith("neg") else 1.0
-    )
+    sign = -1.0 if what.startswith("neg") else 1.0
+    return Quantity(works[what], Audit(backend), settings, max_distance, sign, spacing=spacing)
 
 
 def image(
-    file: Path, surface: Reflectance, source: Source, backend: str, words: dict[str, Any], **options: Any
+    file: Path,
+    surface: Reflectance,
+    source: Source,
+    backend: str,
+    words: dict[str, Any],
+    spacing: float | None,
+    **options: Any,
 ) -> Quantity:
     """The image of `skylamp render`.
 
     ``words``: how the command line describes surface and source; ``options`` of :func:`skylamp.render`.
     """
     dask_array = _imported("dask.array")
-    header = geo.header(file)
+    header = geo.header(file, spacing=spacing)
     scene = Scene.from_height(
         dask_array.zeros(header.values.shape, chunks=-1, dtype=np.float32),
         header.spacing,
@@ -170,7 +183,16 @@ def image(
     settings = dict(words, **options)
     bands, between = 3 if work.in_colour else 1, work.between
     reach = options.get("max_distance")
-    return Quantity(work, work.audit, settings, reach, bands=bands, albedo=scene.albedo, between=between)
+    return Quantity(
+        work,
+        work.audit,
+        settings,
+        reach,
+        bands=bands,
+        albedo=scene.albedo,
+        between=between,
+        spacing=spacing,
+    )
 
 
 def write_quantity(
@@ -187,7 +209,7 @@ def write_quantity(
     if machines.workers > 1 and machines.scheduler is not None:
         raise bad("--workers with --scheduler", machines.workers, "one of the two", "A cluster has its own.")
     side = machines.side if machines.scheduler is None else None  # a CapacityError before any worker starts
-    header = geo.header(file)
+    header = geo.header(file, spacing=quantity.spacing)
     scratch = Path(out).absolute().with_name(Path(out).name + ".scratch")  # workers have another folder
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     with locked(scratch):
@@ -364,6 +386,7 @@ def scratch_of(job: Job, resume: bool) -> Any:
             **told,
             "backend": job.backend,  # by its name, since "auto" may be another on another machine
             "tiling": str(job.layout.tiling),
+            "spacing": job.layout.spacing,
             "skylamp": skylamp.__version__,
             "form": SCRATCH_FORM,
         },

@@ -31,7 +31,7 @@ def scene(
     resample: bool = False,
 ) -> tuple[Scene, geo.Raster | None]:
     """(scene, the raster that the file is if it is a GeoTIFF)."""
-    raster = raster_of(file, resample)
+    raster = raster_of(file, resample, spacing)
     height = raster is not None if height is None else height
     values = values_of(file, height, spacing) if raster is None else raster.values
     mask = None if raster is None or raster.mask.all() else raster.mask
@@ -56,9 +56,9 @@ def values_of(file: Path, height: bool | None, spacing: float | None) -> np.ndar
     return values
 
 
-def raster_of(file: Path, resample: bool) -> geo.Raster | None:
-    """The raster that a file is if it is a GeoTIFF."""
-    raster = geo.read(file, resample=resample) if geo.is_geotiff(file) else None
+def raster_of(file: Path, resample: bool, spacing: float | None) -> geo.Raster | None:
+    """The raster that a file is if it is a GeoTIFF, with --spacing if that is given."""
+    raster = geo.read(file, resample=resample, spacing=spacing) if geo.is_geotiff(file) else None
     if resample and raster is None:
         raise typer.BadParameter(f"{file} is not a GeoTIFF", param_hint="--resample")
     return raster
@@ -66,7 +66,7 @@ def raster_of(file: Path, resample: bool) -> geo.Raster | None:
 
 def spacing_of(spacing: float | None, raster: geo.Raster | None) -> float:
     """The spacing: --spacing, or that of the raster; 1 without both."""
-    return spacing if spacing is not None else 1.0 if raster is None else raster.spacing
+    return raster.spacing if raster is not None else 1.0 if spacing is None else spacing
 
 
 def without(nodata: float | None, values: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
@@ -101,8 +101,12 @@ def source(
     sun: str | None = None,
     direct: float = 0.0,
     horizontal: float | None = None,
+    *,
+    file: Path,
 ) -> Source:
-    """The source that --source, --lamp, --window, --sun, --direct and --horizontal describe."""
+    """The source that --source, --lamp, --window, --sun, --direct and --horizontal describe, over the map in
+    ``file``.
+    """
     kind = kind or ("lamp" if lamp else "window" if window else "sky")
     for name, given in (("lamp", lamp), ("window", window)):
         if bool(given) != (kind == name):
@@ -123,16 +127,16 @@ def source(
         x0, x1, y0, y1 = numbers(window, "--window", "X0,X1,Y0,Y1")
         return Window(x=(x0, x1), y=(y0, y1))
     if cie:
-        place = None if sun is None else _sun(sun)
+        place = None if sun is None else _sun(sun, file)
         return Sky(cie_sky(int(cie[1] or CLEAR), place, horizontal=horizontal, direct=direct))
     return _sky(kind)
 
 
-def sky(kind: str, sun: str | None) -> Sky:
-    """The sky that --source and --sun describe."""
+def sky(kind: str, sun: str | None, file: Path) -> Sky:
+    """The sky that --source and --sun describe, over the map in ``file``."""
     if kind in ("lamp", "window"):
         raise typer.BadParameter(f"is a sky here: got {kind}", param_hint="--source")
-    found = source(kind, None, None, sun)
+    found = source(kind, None, None, sun, file=file)
     assert isinstance(found, Sky), "lamps and windows were refused"
     return found
 
@@ -181,15 +185,15 @@ def _sky(kind: str) -> Sky:
         return Sky(environment_map(io.read_environment(kind)))
 
 
-def _sun(text: str) -> tuple[float, float]:
-    """(azimuth, elevation) [degree] of --sun, given as such or by time and place."""
+def _sun(text: str, file: Path) -> tuple[float, float]:
+    """(azimuth, elevation) [degree] of --sun, given as such on the map in ``file``, or by time and place."""
     if text.count(",") == 2:
         time, place = text.split(",", 1)
         latitude, longitude = numbers(place, "--sun", "LAT,LON")
         azimuth, elevation = sun_position(time, latitude, longitude)
         if elevation < 0:
             raise bad(f"--sun {text}", f"a sun {-elevation:.1f} degrees below the horizon", "a time of day")
-        return azimuth, elevation
+        return azimuth - (geo.convergence(file) if geo.is_geotiff(file) else 0.0), elevation
     azimuth, elevation = numbers(text, "--sun", "AZ,EL")
     return azimuth, elevation
 
@@ -247,13 +251,15 @@ def whole_numbers(text: str, option: str) -> list[int]:
         ) from None
 
 
-def radiance(file: Path, white: float | None, resample: bool = False) -> tuple[np.ndarray, geo.Raster | None]:
+def radiance(
+    file: Path, white: float | None, resample: bool, spacing: float | None
+) -> tuple[np.ndarray, geo.Raster | None]:
     """(The image in ``file`` as radiance, the raster that the file is if it is a GeoTIFF).
 
     Counts need a scale, the file's own or --white; floating values are radiance already. Cells of a raster
     without data are nan.
     """
-    raster = raster_of(file, resample)
+    raster = raster_of(file, resample, spacing)
     if raster is not None:
         image = raster.values
     else:

@@ -107,9 +107,9 @@ def read(
 
 def _read(file: Path, height: bool | None, spacing: float | None, resample: bool) -> Map:
     """The whole map in a file."""
-    raster = raster_of(file, resample)
+    raster = raster_of(file, resample, spacing)
     if raster is not None:
-        step = raster.spacing if spacing is None else spacing
+        step = raster.spacing
         call = f"raster = geo.read({str(file)!r}{', resample=True' * resample})"
         parts = f"values, mask, spacing = raster.values, raster.mask, {step!r}"
         lines = "from skylamp import geo", call, parts

@@ -9,6 +9,8 @@ north is read from its last row to its first, and so what is written like it is 
 from __future__ import annotations
 
 import contextlib
+import math
+import os
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -18,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ..arrays import metres_in, stretched
+from ..arrays import factors_of, labels_of, metres_in, stretched
+from ..checks import positive_number
 from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, lacking
 from ..scene import Scene
@@ -27,6 +30,7 @@ from .paths import StrPath, destination, readable, reading, replacing, reserve
 
 # share of its length by which a cell's other side may differ; slopes then have this relative error
 MOST_OBLONG = 0.01
+NORTHWARDS = 1e-3  # [degree] along which a meridian is straight; chosen, some 100 m
 GEO_TAGS = (33550, 33922, 34264, 34735)  # pixel scale, tie points, transformation, keys
 
 
@@ -75,14 +79,15 @@ def is_geotiff(path: StrPath) -> bool:
         return bool(len(file.pages)) and any(tag in file.pages[0].aspage().tags for tag in GEO_TAGS)
 
 
-def read(path: StrPath, *, resample: bool = False) -> Raster:
+def read(path: StrPath, *, resample: bool = False, spacing: float | None = None) -> Raster:
     """The one band of a GeoTIFF with its georeference.
 
     Its cells must be square on the ground to 1 %, east to the right. Rows come from north to south, whatever
     their order in the file; the transform is that of these rows. In degrees, a cell's sides in metres follow
     from the ellipsoid at the middle latitude; they are not equally long. ``resample``: make cells square,
     with the shorter side, by bilinear interpolation; the coordinate reference system stays, the transform
-    becomes that of the new cells.
+    becomes that of the new cells. ``spacing``: another one than the file tells, in the unit of the values;
+    nothing is then said of units and of lengths on the map.
 
     Raises InputError for a file that is missing, truncated, damaged, not a TIFF, without a georeference or
     with several bands, turned, not square, or so tall in latitude that a degree's length changes by more than
@@ -103,10 +108,10 @@ def read(path: StrPath, *, resample: bool = False) -> Raster:
             mask &= np.isfinite(values)
         raster = _described(path, file, values, mask)
         raster = replace(raster, values=_scaled(file, raster.values))
-    return _spaced(path, raster, resample)
+    return _spaced(path, raster, resample, spacing)
 
 
-def header(path: StrPath) -> Raster:
+def header(path: StrPath, *, spacing: float | None = None) -> Raster:
     """What :func:`read` gives of a file of any size, but for its values and mask, which take no memory here.
 
     Cells must be square.
@@ -116,7 +121,41 @@ def header(path: StrPath) -> Raster:
         shape = file.height, file.width
         nothing = np.broadcast_to(np.zeros((), file.dtypes[0]), shape)
         raster = _described(path, file, nothing, np.broadcast_to(np.True_, shape))
-    return _spaced(path, raster, None)
+    return _spaced(path, raster, None, spacing)
+
+
+def convergence(dem: Any) -> float:
+    """The meridian convergence at the middle of a map [degree]: its north, clockwise from true north.
+
+    Subtract it from azimuths from true north, such as those of :func:`skylamp.sun_position`, or give it to
+    :func:`skylamp.sky_over_time`. In a UTM zone it is at most some degrees, in systems of continents tens.
+
+    ``dem``: the path of a GeoTIFF, a :class:`Raster`, or an xarray.DataArray with x, y and a coordinate
+    reference system, as rioxarray gives it. 0.0 of a map in degrees or without a reference system. Raises
+    InputError for anything else, or a file that is no GeoTIFF.
+
+    Example: ``azimuth - geo.convergence("dem.tif")``
+    """
+    labels = labels_of(dem)
+    if labels is not None:
+        factors = factors_of(labels)
+        return 0.0 if factors is None else float(factors.meridian_convergence)
+    if isinstance(dem, Raster):
+        crs, t, (rows, cols) = dem.crs, dem.transform, dem.values.shape
+    elif isinstance(dem, (str, os.PathLike)):
+        with _opened(readable(dem)) as file:
+            crs, t, rows, cols = file.crs, file.transform, file.height, file.width
+    else:
+        raise bad("convergence", type(dem).__name__, "the path of a GeoTIFF, a Raster or a DataArray")
+    if crs is None or not crs.is_projected:
+        return 0.0
+    transform, degrees = _rasterio("convergence").warp.transform, "EPSG:4326"
+    try:
+        (east,), (north,) = transform(crs, degrees, [t.c + t.a * cols / 2], [t.f + t.e * rows / 2])
+        x, y = transform(degrees, crs, [east, east], [north - NORTHWARDS, min(north + NORTHWARDS, 90.0)])
+    except Exception:  # of another celestial body; the class of the error is private to rasterio
+        return 0.0
+    return -math.degrees(math.atan2(x[1] - x[0], y[1] - y[0]))
 
 
 def window(path: StrPath, rows: slice, cols: slice, dtype: DTypeLike = np.float32) -> np.ndarray:
@@ -179,7 +218,7 @@ def _described(path: Path, file: Any, values: np.ndarray, mask: np.ndarray) -> R
     return Raster(values, mask, 0.0, file.crs, transform, file.nodata, point, unit)
 
 
-def _spaced(path: Path, raster: Raster, resample: bool | None) -> Raster:
+def _spaced(path: Path, raster: Raster, resample: bool | None, spacing: float | None) -> Raster:
     """The raster with its spacing; checked to be not turned, and to have square cells, or made so.
 
     ``resample``: None where that cannot be asked for.
@@ -196,7 +235,7 @@ def _spaced(path: Path, raster: Raster, resample: bool | None) -> Raster:
     unit, vertical = raster.unit, metres_in(raster.unit)
     if vertical is None:
         cells = raster.crs is not None and raster.crs.is_projected and raster.crs.linear_units_factor
-        if unit or (cells and cells[1] != 1):
+        if spacing is None and (unit or (cells and cells[1] != 1)):
             told = f"{unit!r} in {path} is not known" if unit else f"{path} tells none"
             between = f", and its cells are in {cells[0]}" if cells else ""
             warnings.warn(
@@ -216,6 +255,8 @@ def _spaced(path: Path, raster: Raster, resample: bool | None) -> Raster:
             )
         raster = _squared(_rasterio(path), raster, east, north)
         east = north = min(east, north)
+    if spacing is not None:
+        return replace(raster, spacing=positive_number(spacing, "spacing"))
     if (text := stretched(_stretch(path, raster))) is not None:
         warnings.warn(f"{path}: {text}", stacklevel=2)
     return replace(raster, spacing=float(np.sqrt(east * north) / vertical))
@@ -277,7 +318,7 @@ def write(path: StrPath, array: np.ndarray, like: Raster, *, unit: str = "") -> 
             out.write(memory.getbuffer())
 
 
-def _rasterio(path: Path) -> Any:
+def _rasterio(path: Path | str) -> Any:
     try:
         import rasterio
         import rasterio.errors

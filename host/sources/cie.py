@@ -175,7 +175,8 @@ def sun_position(
     Returns
     -------
     (azimuth, elevation) [degree]
-        Azimuth clockwise from north (-y), elevation above the horizontal plane.
+        Azimuth clockwise from true north, elevation above the horizontal plane. The azimuth on a map is this
+        less :func:`skylamp.geo.convergence` of it.
     """
     try:
         when = datetime.datetime.fromisoformat(time) if isinstance(time, str) else time

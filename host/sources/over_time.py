@@ -65,6 +65,7 @@ def sky_over_time(
     model: Any = "perez",
     hours: Any = None,
     substeps: int = 1,
+    convergence: float = 0.0,
 ) -> SkyOverTime:
     """The suns and skies of many times as one brightness, for ``Sky``: a day, a season, a year of light.
 
@@ -93,6 +94,9 @@ def sky_over_time(
         Positions of the sun, evenly over the hours of each time and around it; 1 unless given. With 12 for
         times an hour apart the discs follow one another along the sun's track without a gap of more than 1.3
         degrees, and shadows are no longer those of separate hours.
+    convergence : float [degree]
+        Of the map: the azimuth of its north, clockwise from true north, see
+        :func:`skylamp.geo.convergence`. Some degrees in a UTM zone, tens in systems of continents.
 
     Returns
     -------
@@ -126,13 +130,24 @@ def sky_over_time(
     shift = (np.arange(substeps) + 0.5) / substeps - 0.5
     index = index.repeat(substeps) + pandas.to_timedelta(np.outer(step, shift).ravel(), "h")
     step, types = (np.repeat(values, substeps) for values in (step / substeps, types))
-    return _summed(index, place, step / 1000, types, measured, pvlib)
+    turn = float(real_array(convergence, "sky_over_time: convergence", 0))
+    if not abs(turn) <= 360:
+        raise bad("sky_over_time: convergence", turn, "-360 to 360 degrees")
+    return _summed(index, place, step / 1000, types, measured, pvlib, turn)
 
 
 def _summed(
-    index: Any, place: list[float], weight: np.ndarray, types: np.ndarray, measured: Any, pvlib: Any
+    index: Any,
+    place: list[float],
+    weight: np.ndarray,
+    types: np.ndarray,
+    measured: Any,
+    pvlib: Any,
+    turn: float,
 ) -> SkyOverTime:
-    """The sum of light [W m^-2] times ``weight``; ``measured`` (2, times), each for equally many of index."""
+    """The sum of light [W m^-2] times ``weight``; ``measured`` (2, times), each for equally many of index;
+    ``turn``: convergence [degree].
+    """
     # the table of turbidities holds no others
     east = place[1] if abs(place[1]) <= 180 else (place[1] + 180) % 360 - 180
     location = pvlib.location.Location(place[0], east, altitude=place[2])
@@ -142,7 +157,7 @@ def _summed(
         light = np.stack([clear["dni"].to_numpy(), clear["dhi"].to_numpy()])
     else:
         light = np.repeat(measured, len(index) // measured.shape[1], 1)
-    azimuth, elevation = sun["azimuth"].to_numpy(), sun["apparent_elevation"].to_numpy()
+    azimuth, elevation = sun["azimuth"].to_numpy() - turn, sun["apparent_elevation"].to_numpy()
     light = _checked(light, elevation > 0, index)
     up = np.flatnonzero(elevation > 0)
     night = np.delete(weight * light[1], up).sum()
