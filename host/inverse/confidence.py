@@ -20,7 +20,7 @@ from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
 from .place import FreePlace, free_place, most_of
 from .posterior import posterior_deviation, posterior_samples, shift_by
-from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid
+from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, away_from_images, on_coarser_grid
 from .resampling import blurred, doubled, halved, halved_depth
 from .search import Rival
 
@@ -207,7 +207,7 @@ def by_gaps(judged: Judged) -> np.ndarray:
     """Squared distance by which depth may leave its smooth continuation in gaps of all images: what the mean
     curvature of the rest makes of the distance to it, at most the relief of the whole.
     """
-    away, z = judged.pyramid.away(judged.level), judged.z
+    away, z = away_from_images(judged.pyramid, judged.level), judged.z
     seen = away == 0
     bends = np.diff(z, 2, axis=0)[seen[1:-1]], np.diff(z, 2, axis=1)[seen[:, 1:-1]]
     curvature = math.sqrt(float(np.mean(np.concatenate(bends) ** 2))) if sum(map(len, bends)) else 0.0

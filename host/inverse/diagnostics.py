@@ -13,7 +13,7 @@ from ..scene import Scene
 from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
 from .place import FreePlace
-from .pyramid import COARSEST, IMAGE_RMS, Pyramid
+from .pyramid import COARSEST, IMAGE_RMS, Pyramid, away_from_images
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
 # share and number of the pixels at the greatest or least depth allowed from which on there is a warning.
@@ -180,7 +180,7 @@ def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
 def of_gaps(pyramid: Pyramid) -> list[str]:
     """Warning that gaps are so wide that ground in them may hide light from their surroundings."""
     level = next(n for n in range(pyramid.coarsest + 1) if pyramid.is_small(n))
-    away = 2**level * pyramid.away(level).max()
+    away = 2**level * away_from_images(pyramid, level).max()
     if away < WIDE_GAP * max(pyramid.shape(0)):
         return []
     return [

@@ -134,6 +134,7 @@ class Pyramid:
             [[image / unit for image, unit in zip(all_of, self.units)]] for all_of in (images, explained)
         )
         self.weights = [[weight.astype(float) for weight in weights]]
+        self.has_gaps = not all(np.all(weight) for weight in weights)
         self.bounds = [(near, far)]
         self.albedo_known = albedo is not None
         # if it is not known: what is expected
@@ -169,24 +170,11 @@ class Pyramid:
     def is_small(self, level: int) -> bool:
         return max(self.shape(level)) <= SMALL
 
-    @property
-    def has_gaps(self) -> bool:
-        return any((weight < 1).any() for weight in self.weights[0])
-
-    def away(self, level: int) -> np.ndarray:
-        """(rows, cols) nodes of this grid from every node to the nearest that an image shows a part of."""
-        return distance_from(np.max(self.weights[level], axis=0) > 0)
-
-    def filled(self) -> Pyramid:
-        """The problem of the images with their gaps filled."""
-        whole = copy.copy(self)
-        whole.images, whole.problems = list(self.seen), {}
-        whole.weights = [[np.ones(weight.shape) for weight in level] for level in self.weights]
-        return whole
-
     def _expect_albedo(self, level: int, z: np.ndarray) -> None:
         """Expects the median of the albedo at z everywhere, from here on."""
-        self.expected_albedo = float(np.median(self.problem(level).fitted_albedo(z)[self.away(level) == 0]))
+        self.expected_albedo = float(
+            np.median(self.problem(level).fitted_albedo(z)[away_from_images(self, level) == 0])
+        )
         for problem in self.problems.values():
             assert problem.albedo is not None, "the albedo is not known"
             problem.albedo.set_prior(self.expected_albedo)
@@ -289,6 +277,19 @@ class Pyramid:
             "%d x %d: residual %.2g of the image, %.1f s", *reached.shape, reached.residual, reached.seconds
         )
         self.report(reached)
+
+
+def without_gaps(pyramid: Pyramid) -> Pyramid:
+    """The problem of the images with their gaps filled."""
+    filled = copy.copy(pyramid)
+    filled.images, filled.problems = list(pyramid.seen), {}
+    filled.weights = [[np.ones(weight.shape) for weight in level] for level in pyramid.weights]
+    return filled
+
+
+def away_from_images(pyramid: Pyramid, level: int) -> np.ndarray:
+    """(rows, cols) nodes of a grid from every node to the nearest that an image shows a part of."""
+    return distance_from(np.max(pyramid.weights[level], axis=0) > 0)
 
 
 @contextlib.contextmanager

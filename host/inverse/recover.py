@@ -125,10 +125,9 @@ def recover(
     layers : int
         The deepest depth in spacings, unless ``far`` is given; the lattice's depth.
     method : "robust" or "paper"
-        ``robust``: the surface whose image, by horizons and with normals, is nearest to the given one, coarse
-        to fine (docs/explanation). ``paper``: carving (Langer and Zucker, section 6, inverse algorithm, Eq.
-        4): all columns start at depth 0 and go down a layer at a time while their luminance, with N.L
-        replaced by 1/2, does not match the image.
+        ``robust``: the surface whose image, by horizons and with normals, is nearest to the given one
+        (docs/explanation). ``paper``: carving (Langer and Zucker, section 6, Eq. 4): all columns start at
+        depth 0 and go down a layer at a time while their luminance, with N.L = 1/2, is not the image's.
     hemicube, eps, stop
         Of method="paper"; "robust" warns. stop="eps": a column stops where |B - I| <= eps x max(image);
         "sign": at the first layer where B equals I or has passed it; this often drills fewer columns.
@@ -140,12 +139,11 @@ def recover(
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
-        its residual is less than a quarter of the other; std includes the answer that is not used, where it
-        explains the images about as well. It is several times as fast: False if it suffices.
+        its residual is less than a quarter of the other; std includes the other answer, where it explains
+        the images about as well. It is several times as fast: False if it suffices.
     mask : (rows, cols) bool array, or a list of such, one per image, optional
-        Of method="robust": True where the image counts. Elsewhere, as at highlights, saturated pixels or
-        the background, it may hold anything, and depth goes on smoothly from around; std there is that of
-        such a surface. Gaps of a DataArray (nan, _FillValue) do not count either.
+        Of method="robust": True where the image counts. Elsewhere, as at highlights or the background, it
+        may hold anything, and depth goes on smoothly. Gaps of a DataArray (nan, _FillValue) never count.
     progress : callable, optional
         Called with (levels or layers done, their number). Residuals of levels go to the logger "skylamp".
 
@@ -162,15 +160,13 @@ def recover(
         raise bad("progress", repr(progress), "a function of (done, their number), or None")
     given = _checked(image, source, albedo, sides, spacing, layers, method, mask)
     eps = positive_number(eps, "eps")
-    cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
-    engine = select(backend)
+    cube, engine = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube), select(backend)
     if method == "robust":
         with engine.lock:
             limits = _limits(near, far, max_seconds, given)
             given.warnings.extend(_unused(hemicube=hemicube, eps=eps, stop=stop))
             return _labelled(_recovered(given, limits, engine, progress, interreflection), given.labels)
-    has_gaps = not all(known.all() for known in given.known)
-    _check_carving(given.several, near, far, interreflection, has_gaps)
+    _check_carving(given, near, far, interreflection)
     with within(max_seconds, "recover", engine):
         return _labelled(_carved(given, cube, eps, stop, engine, progress), given.labels)
 
@@ -182,13 +178,17 @@ def _unused(**given: Any) -> list[str]:
     return [f"Not used: {', '.join(names)}. Only method 'paper' has them."] if names else []
 
 
-def _check_carving(several: bool, near: Any, far: Any, interreflection: bool | str, has_gaps: bool) -> None:
+def _check_carving(given: _Given, near: Any, far: Any, interreflection: bool | str) -> None:
     """InputError for arguments that method "paper" cannot use."""
-    given = {"lists of images": several, "near": near is not None, "far": far is not None}
-    given["mask"] = has_gaps
-    given["interreflection=True"] = interreflection is True
-    if any(given.values()):
-        got = ", ".join(name for name, is_given in given.items() if is_given)
+    unusable = {
+        "lists of images": given.several,
+        "near": near is not None,
+        "far": far is not None,
+        "mask": not all(known.all() for known in given.known),
+        "interreflection=True": interreflection is True,
+    }
+    if any(unusable.values()):
+        got = ", ".join(name for name, is_given in unusable.items() if is_given)
         raise bad("method 'paper'", got, "one image and one source", "Use method='robust'.")
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from .descent import Solution, bounced
 from .multigrid import FROM_COARSER, Multigrid
-from .pyramid import SMALL, Pyramid, on_coarser_grid, without
+from .pyramid import SMALL, Pyramid, on_coarser_grid, without, without_gaps
 from .resampling import blurred, halved_depth
 
 FLATS = 40  # flat surfaces between the bounds that are compared
@@ -258,7 +258,7 @@ def start_filled(search: Search) -> None:
     """
     pyramid = search.pyramid
     if pyramid.has_gaps:
-        filled = Multigrid(pyramid.filled(), search.several)
+        filled = Multigrid(without_gaps(pyramid), search.several)
         z = filled.solve(*search.begun, search.level, accept=False).depth
         search.answers.insert(0, search.multigrid.relax(search.level, z, ()))
         pyramid.accept(search.level, search.answers[0].depth)
