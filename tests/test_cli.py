@@ -306,6 +306,9 @@ def test_recover_leaves_out_what_a_mask_says(here, fast, capsys):
     picture = io.read("a_picture.png")
     assert picture.min() == 0 and np.ptp(picture) > 0
     assert run(capsys, "recover", "holes.npy", "b.npy", *options)[0] == 3
+    np.save("mask.npy", np.where(known, 1.0, np.nan))
+    assert run(capsys, "recover", "image.npy", "b.npy", "--mask", "mask.npy", *options)[0] == 0
+    np.testing.assert_array_equal(np.load("b.npy"), expected.depth)
     np.save("wide.npy", np.ones((3, 3)))
     code, _, err = run(capsys, "recover", "image.npy", "b.npy", "--mask", "wide.npy", *options)
     assert code == 3 and "wide.npy: wrong shape: got (3, 3)" in err

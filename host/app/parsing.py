@@ -275,9 +275,10 @@ def where_known(image: np.ndarray, raster: geo.Raster | None, file: Path | None)
     """
     masks = [] if raster is None or raster.mask.all() else [raster.mask]
     if file is not None:
-        masks.append(io.read(file) != 0)
-        if masks[-1].shape != image.shape:
-            raise bad(f"{file}: wrong shape", masks[-1].shape, f"that of the image, {image.shape}")
+        values = io.read(file)
+        if values.shape != image.shape:
+            raise bad(f"{file}: wrong shape", values.shape, f"that of the image, {image.shape}")
+        masks.append((values != 0) & (values == values))  # nan is not known
     return np.logical_and.reduce(masks) if masks else None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import fields, is_dataclass, replace
 from types import MethodType
 from typing import Any, NamedTuple
@@ -45,15 +46,18 @@ def by_light(images: list[np.ndarray], lights: list[sources.Source], known: list
         else:
             listed = f"{', '.join(str(n + 1) for n in alike[:-1])} and {alike[-1] + 1}"
             light, name = lights[m], f"mean of images {listed}"
-            count, by_all = (part([known[n] for n in alike], axis=0) for part in (np.sum, np.all))
-            image, where = np.sum([images[n] for n in alike], axis=0) / np.maximum(count, 1), count > 0
-            units = [float(images[n][by_all].sum()) / sources.number_of(lights[n]) for n in alike]
+            numbers = [sources.number_of(lights[n]) for n in alike]
+            brightness = float(np.mean(numbers))
+            # of the images that are known at a pixel, which may be few: their sum in the unit of all
+            total = np.sum([number * known[n] for number, n in zip(numbers, alike)], axis=0) / brightness
+            where, by_all = total > 0, np.all([known[n] for n in alike], axis=0)
+            image = np.sum([images[n] for n in alike], axis=0) / np.where(where, total, 1)
+            units = [float(images[n][by_all].sum()) / number for number, n in zip(numbers, alike)]
             if max(units) > (1 + SAME_EXPOSURE) * min(units):
-                merged.warnings.append(diagnostics.of_exposures(listed, max(units) / min(units)))
+                ratio = max(units) / min(units) if min(units) else math.inf
+                merged.warnings.append(diagnostics.of_exposures(listed, ratio))
             if not callable(light.brightness):
-                light = replace(
-                    light, brightness=float(np.mean([sources.number_of(lights[n]) for n in alike]))
-                )
+                light = replace(light, brightness=brightness)
         merged.images.append(image)
         merged.known.append(where)
         merged.lights.append(light)

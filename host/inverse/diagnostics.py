@@ -58,10 +58,10 @@ NARROW = 5
 # share of ambiguous pixels from which on a warning says so; in the recoveries of POORLY in 3, 24 and 21
 # of 30, from half of it in 5, 25 and 21, from twice in 3, 23 and 21
 AMBIGUOUS = 0.005
-# distance [side of the image] into a gap from which on a warning calls it wide. Chosen: around gaps with a
-# radius of 3, 6 and 10 nodes, of 64, in fifteen surfaces under a sky, 0, 0 and 2 answers are off by more than
-# a node (RMS)
-WIDE_GAP = 0.1
+# distance into a gap [side of the image, and node] from which on a warning calls it wide. Chosen: around gaps
+# with a radius of 3, 6 and 10 nodes, of 64, in fifteen surfaces under a sky, 0, 0 and 2 answers are off by
+# more than a node (RMS)
+WIDE_GAP, LEAST_WIDE = 0.1, 3
 UNTOLD = 0.2  # share of untrusted pixels above which a warning says so; chosen
 # part of the image's side that counts as border, and ratio of the variance of residuals there to that inside
 # from which on the sides are suspected; chosen
@@ -179,9 +179,9 @@ def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
 
 def of_gaps(pyramid: Pyramid) -> list[str]:
     """Warning that gaps are so wide that ground in them may hide light from their surroundings."""
-    level = next(n for n in range(pyramid.coarsest + 1) if pyramid.is_small(n))
+    level = next((n for n in range(pyramid.coarsest) if pyramid.is_small(n)), pyramid.coarsest)
     away = 2**level * away_from_images(pyramid, level).max()
-    if away < WIDE_GAP * max(pyramid.shape(0)):
+    if away < max(WIDE_GAP * max(pyramid.shape(0)), LEAST_WIDE):
         return []
     return [
         f"Wide gap: no image counts within {away:.0f} nodes of some. Ground there may hide light from what"

@@ -61,7 +61,8 @@ class Level(NamedTuple):
 
 def noise_of(image: np.ndarray, known: np.ndarray) -> float:
     """Standard deviation of white noise in an image: what a cross of second differences leaves (Immerkaer
-    1996, with a median), where all nine pixels are known (rows, cols); 0 if none are.
+    1996, with a median), where all nine pixels are known (rows, cols), on the coarser grid three quarters of
+    each; 0 if none are.
 
     Fine relief contributes too, but its variance is TEXTURE times as large on the next coarser grid, where
     noise, scaled to that of one pixel, has the same variance. That separates the two.
@@ -74,7 +75,7 @@ def noise_of(image: np.ndarray, known: np.ndarray) -> float:
 
     left = []
     for values, weight in ((image, known), (2 * halved(image), halved(known))):
-        crosses = np.abs(second(second(values).T).T)[sliding_window_view(weight == 1, (3, 3)).all((2, 3))]
+        crosses = np.abs(second(second(values).T).T)[sliding_window_view(weight > 0.7, (3, 3)).all((2, 3))]
         if not crosses.size:
             return 0.0
         left.append(float(np.median(crosses)) / (NORMAL_QUARTILE * CROSS_NORM))

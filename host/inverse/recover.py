@@ -184,7 +184,7 @@ def _check_carving(given: _Given, near: Any, far: Any, interreflection: bool | s
         "lists of images": given.several,
         "near": near is not None,
         "far": far is not None,
-        "mask": not all(known.all() for known in given.known),
+        "gaps of the image or mask": not all(known.all() for known in given.known),
         "interreflection=True": interreflection is True,
     }
     if any(unusable.values()):
@@ -286,6 +286,8 @@ def _radiance(values: Any, mask: Any) -> tuple[np.ndarray, np.ndarray]:
         )
     known = known_of(values, labels_of(values), mask_of(mask, image.shape))
     known = np.ones(image.shape, bool) if known is None else known
+    if not known.any():
+        raise bad("mask: no pixel of the image counts", "False everywhere", "at least one True")
     image = image.astype(np.float64)
     wrong = known & ~(np.isfinite(image) & (image >= 0))
     if wrong.any():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -26,11 +28,16 @@ def filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def distance_from(known: np.ndarray) -> np.ndarray:
-    """Of every node the number of steps, also diagonal ones, to the nearest known one, (rows, cols) bool."""
-    near, distance = np.asarray(known), np.zeros(known.shape)
+    """Nodes from every node to the nearest known one, (rows, cols) bool, to 12 % beyond some nodes: every
+    second step may go along a diagonal.
+    """
+    near: Any = known
+    distance, diagonally = np.zeros(known.shape), False
     while not near.all():
         distance += ~near
-        near = np.asarray(sliding_window_view(np.pad(near, 1), (3, 3)).any((2, 3)))
+        around = sliding_window_view(np.pad(near, 1), (3, 3))
+        cross = around[..., 1, :].any(-1) | around[..., 1].any(-1)
+        near, diagonally = around.any((2, 3)) if diagonally else cross, not diagonally
     return distance
 
 

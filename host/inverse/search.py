@@ -54,7 +54,8 @@ FOLLOWED = 8.0  # times the first answer's objective on a coarser grid: other st
 MIRRORED, MIRROR_ROUNDS = (3, 12), 3
 LEAST_MISFIT = 1e-12  # of a neighbourhood, where the weights of a mosaic would divide by zero
 RIVAL = 6.0  # times the objective of the answer: other surfaces above it are no rivals
-# in which light between surfaces is taken from the images, before and after a mosaic, and on the finest grid
+# in which light between surfaces is taken from the images: before and after a mosaic, and after refinement to
+# the finest grid
 ROUNDS, FINEST_ROUNDS = 4, 1
 
 
@@ -227,21 +228,22 @@ def start_direct(search: Search) -> None:
     grid, z = direct.pyramid.best
     for _ in range(level - grid):
         z = halved_depth(z)
-    first = _after_rounds(search, direct, level, z, [])
-    best = _after_rounds(search, direct, level, first.depth, [first])
+    first = _after_rounds(search, direct, level, z, [], ROUNDS)
+    best = _after_rounds(search, direct, level, first.depth, [first], ROUNDS)
     search.pyramid.accept(level, best.depth)
     if search.comparing < level:
         best = search.multigrid.refine(best.depth, level, search.comparing)
-        best = _after_rounds(search, direct, search.comparing, best.depth, [best])
+        rounds = ROUNDS if search.comparing else FINEST_ROUNDS
+        best = _after_rounds(search, direct, search.comparing, best.depth, [best], rounds)
     search.answers, search.level = [best], search.comparing
 
 
 def _after_rounds(
-    search: Search, direct: Search, level: int, z: np.ndarray, answers: list[Solution]
+    search: Search, direct: Search, level: int, z: np.ndarray, answers: list[Solution], rounds: int
 ) -> Solution:
     """The best of these answers, of those after each round from z, and of the mosaic of all."""
     answers = list(answers)
-    for _ in range(ROUNDS if level else FINEST_ROUNDS):
+    for _ in range(rounds):
         direct.pyramid.set_prior(level, on_coarser_grid(z))
         with without(direct.pyramid, bounced(search.pyramid.problem(level), z), level):
             z = direct.multigrid.settle(level, z).depth
@@ -340,7 +342,8 @@ def start_mirrored(search: Search) -> None:
 def choose(search: Search) -> None:
     """The first answer, unless another one explains the images clearly better; the rest are its rivals."""
     first, best = search.answers[0], _best(search.answers)
-    answer = best if best.objective < (BETTER if search.several else CLEARLY) * first.objective else first
+    doubted = search.several or search.pyramid.has_gaps  # whether a lower objective may be of a wrong answer
+    answer = best if best.objective < (BETTER if doubted else CLEARLY) * first.objective else first
     power = 1 if search.several else 2
     search.rivals += [
         Rival(other.depth - answer.depth, min(1, answer.objective / other.objective) ** power)
