@@ -129,10 +129,13 @@ def _slopes(
     backend: str,
     axes: tuple[float, float],
 ) -> Any:
-    """Slopes of ``part`` of the azimuths; every azimuth's are the same whatever the others are."""
+    """Slopes of ``part`` of the azimuths, which a map with other ``axes`` has elsewhere, see ``Scene.axes``.
+
+    Every azimuth's are the same whatever the others are.
+    """
     engine = engine_of(scene, backend)
     with engine.lock:
-        rays = _rays(azimuths, axes, part)
+        rays = Rays(angles_on(axes, azimuths.angles[part]), azimuths.widths[part])
         ground = ground_of(scene, max_distance, engine)
         sweeps = Sweeps(engine, ground, rays, near=FINE_NEAR_ROWS, far=far)
         if scene.stays_on(engine):
@@ -172,8 +175,8 @@ def sky_view_factor(
     """
     one_of(definition, tuple(VIEW), "definition")
     scene = _scene_of(scene)
-    how: dict[str, Any] = dict(azimuths=sectors_of(azimuths), backend=backend, axes=scene.axes)
-    work = partial(sky_view, definition=definition, **how)
+    sectors = sectors_of(azimuths, scene.axes)
+    work = partial(sky_view, definition=definition, azimuths=sectors, backend=backend)
     with limited(max_seconds, "sky_view_factor", scene, backend):
         factor: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, VIEW[definition])
     return factor
@@ -187,7 +190,6 @@ def sky_view(
     definition: str,
     azimuths: Azimuths,
     backend: str,
-    axes: tuple[float, float] = (1.0, 1.0),
 ) -> Any:
     """The sky-view factor, a sum over azimuths of a function of the horizon's elevation, or of light."""
     sine = np.sin(elevation_of(np.linspace(0, 1, RUNGS)))
@@ -199,7 +201,7 @@ def sky_view(
         table[:, :-1, 3] = np.diff(share)
     engine = engine_of(scene, backend)
     with engine.lock:
-        ground, rays = ground_of(scene, max_distance, engine), _rays(azimuths, axes)
+        ground, rays = ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths)
         sweeps = Sweeps(engine, ground, rays, table, level=share is not None, far=far)
         return _sum_of(scene, engine, sweeps, 1 / (2 * np.pi) if definition == "solid_angle" else 1 / np.pi)
 
@@ -248,9 +250,8 @@ def openness(
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
     work = partial(
         mean_openness,
-        azimuths=sectors_of(azimuths),
+        azimuths=sectors_of(azimuths, scene.axes),
         backend=backend,
-        axes=scene.axes,
         upside_down=bool(negative),
     )
     with limited(max_seconds, "openness", scene, backend):
@@ -265,7 +266,6 @@ def mean_openness(
     *,
     azimuths: Azimuths,
     backend: str,
-    axes: tuple[float, float] = (1.0, 1.0),
     upside_down: bool = False,
 ) -> Any:
     """The mean angle from the zenith; ``upside_down``: from the nadir, of a map that is turned."""
@@ -273,7 +273,7 @@ def mean_openness(
     if far is not None and upside_down:  # what falls off with the Earth rises
         far = far._replace(drop=-far.drop)
     with engine.lock:
-        ground, rays = ground_of(scene, max_distance, engine), _rays(azimuths, axes)
+        ground, rays = ground_of(scene, max_distance, engine), Rays(azimuths.angles, azimuths.widths)
         sweeps = Sweeps(engine, ground, rays, near=FINE_NEAR_ROWS, far=far, angles=True)
         return _sum_of(scene, engine, sweeps, 1 / rays.widths.sum())
 
@@ -286,11 +286,6 @@ def _upside_down(scene: Scene) -> Any:
         heights.scale(scene.spacing / there.step)
         return heights
     return labelled(scene.depth if scene.lazy is None else -scene.lazy, scene.labels, OPENNESS[True])
-
-
-def _rays(azimuths: Azimuths, axes: tuple[float, float], part: slice = slice(None)) -> Rays:
-    """``part`` of the azimuths, in the axes of a map, see ``Scene.axes``."""
-    return Rays(angles_on(axes, azimuths.angles[part]), azimuths.widths[part])
 
 
 def _scene_of(given: Any) -> Scene:
