@@ -15,6 +15,7 @@ from .backends.numpy.luminance import gradient
 from .constants import STEEP
 from .directions import Azimuths, Hemicube
 from .errors import bad
+from .light import lattice
 from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import Slices
@@ -294,32 +295,12 @@ def _meets_rectangle(
 
 
 def _meets_window(scene: Scene, window: sources.Window, origin: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Distance along L from ``origin`` to z = 0, nan where the ray does not pass the window.
-
-    A window over a map that repeats does so too.
-    """
+    """Distance along L from ``origin`` to z = 0, nan where the ray does not pass the window."""
     t = origin[..., 2] / -L[..., 2]
-    x, y = (origin[..., axis] + np.where(L[..., axis] == 0, 0.0, t * L[..., axis]) for axis in (0, 1))
-    (rows, cols), repeats = scene.shape, scene.sides == "periodic"
-    if window.aperture is not None:
-        places = (np.nan_to_num(v / scene.spacing + 0.5, nan=-1, posinf=-1, neginf=-1) for v in (x, y))
-        col, row = (np.floor(place).astype(int) for place in places)
-        if repeats:
-            col, row = col % cols, row % rows
-        through = (0 <= col) & (col < cols) & (0 <= row) & (row < rows)
-        through &= window.aperture[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
-    else:
-        (x0, x1), (y0, y1) = _sides(window)
-        if repeats:
-            x, y = x0 + (x - x0) % (cols * scene.spacing), y0 + (y - y0) % (rows * scene.spacing)
-        through = (x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)
+    places = (origin[..., axis] + np.where(L[..., axis] == 0, 0.0, t * L[..., axis]) for axis in (0, 1))
+    # of masked nodes and level rays, which are out all the same, places are no numbers
+    through = lattice.passes(scene, window, *(place / scene.spacing for place in places))
     return np.where(through & (L[..., 2] < 0), t, np.nan)
-
-
-def _sides(window: sources.Window) -> tuple[tuple[float, float], tuple[float, float]]:
-    """(x0, x1), (y0, y1) [unit of spacing] of a rectangular window."""
-    assert window.x is not None and window.y is not None, "a window without an aperture is a rectangle"
-    return window.x, window.y
 
 
 def _aim(
@@ -338,7 +319,8 @@ def _aim(
         first, second = map(np.array, source.edges)
         return _aim_at_rectangle(np.array(source.corner), first, second, origin, a, u)
     assert isinstance(source, sources.Window), "a sky is integrated above horizons"
-    (x0, x1), (y0, y1) = _sides(source)
+    assert source.x is not None and source.y is not None, "apertures are rendered by the lattice"
+    (x0, x1), (y0, y1) = source.x, source.y
     if scene.sides == "dark":  # the walls hide the rest
         x0, x1 = np.clip((x0, x1), *(np.array([-0.5, scene.shape[1] - 0.5]) * scene.spacing))
         y0, y1 = np.clip((y0, y1), *(np.array([-0.5, scene.shape[0] - 0.5]) * scene.spacing))

@@ -141,7 +141,7 @@ def through_window(
     for azimuth, slope in zip(azimuths, samples.horizons(azimuths)):
         c, s = math.cos(azimuth), math.sin(azimuth)
         away = deep / np.tan(e)
-        seen = _passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
+        seen = passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
         light = without(source.brightness, parts, sources.directions_of(azimuth, np.sin(e)))
         along = (samples.gx * c + samples.gy * s) / samples.length
         total += (
@@ -166,14 +166,14 @@ def _parts_through(
             slope = samples.horizons(cells.azimuth.mean(keepdims=True))[0]
             azimuth, e = cells.azimuth[:, None], (cells.low + cells.high)[:, None] / 2
             c, s, away = np.cos(azimuth), np.sin(azimuth), deep / np.tan(e)
-            seen = _passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
+            seen = passes(scene, source, samples.x + away * c, samples.y + away * s) & (np.tan(e) >= slope)
             along, up = cells.moments
             light = (samples.gx * c + samples.gy * s) * along[:, None] + up[:, None]
             total += (seen * np.maximum(0, light)).sum(0) / samples.length
     return total
 
 
-def _passes(scene: Scene, source: sources.Window, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def passes(scene: Scene, source: sources.Window, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Whether rays that cross z = 0 at (x, y) [spacings] pass the window."""
     rows, cols = scene.shape
     inside = (x >= -0.5) & (x < cols - 0.5) & (y >= -0.5) & (y < rows - 0.5)
@@ -214,7 +214,7 @@ def at_samples(
         if isinstance(source, sources.Window):
             away = -samples.own / np.maximum(rise[some, None], 1e-9)
             horizontal = cube.steps[some, :2] / np.maximum(flat[some, None], 1e-9)
-            seen &= _passes(
+            seen &= passes(
                 scene, source, samples.x + away * horizontal[:, :1], samples.y + away * horizontal[:, 1:]
             ) & (rise[some, None] > 0)
         total += (seen * np.maximum(0, moments[some] @ normal)).sum(0)
