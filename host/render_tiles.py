@@ -21,7 +21,7 @@ from .light.sweeps import Ground, Rays, Sweeps, engine_of, ground_of
 from .planning.plan import Plan
 from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
 from .renderer import Renderer
-from .samples import Samples, ring
+from .samples import Samples, lit_mean, ring
 from .scale import (
     AUDITED,
     Audit,
@@ -350,10 +350,9 @@ class TileImage:
             else:
                 slopes = seen_from_edge(samples, inner, scene, far, rays.angles)[1]
             exact = rays.widths @ ring(*plane, rays.angles, slopes, table)
-            lit = exact[exact > 0]
-            if lit.size:
+            if mean := lit_mean(exact):
                 off = math.sqrt(float(np.mean((samples.of(image)[inner] - exact) ** 2)))
-                share = max(share, off / float(lit.mean()))
+                share = max(share, off / mean)
         if share > self.tolerance:
             warn(
                 f"Tolerance: the sweeps of tiles, which are not refined, leave an error of about"

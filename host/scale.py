@@ -41,7 +41,7 @@ from .light.far import (
     top_of,
 )
 from .light.sweeps import NODE_BYTES, TILT_BYTES, Rays, engine_of
-from .samples import Samples, ring
+from .samples import Samples, lit_mean, ring
 from .scene import ALBEDO, Scene
 
 MOST_MARGIN = 128  # [node] beside a map that is swept: at most 96 near rows, the lanes of a CPU and 3
@@ -441,9 +441,8 @@ def _audit(audit: Audit, scene: Scene, far: Far) -> None:
             slopes = seen_from_edge(samples, inner, scene, far, rays.angles)
             plane = samples.gx[inner], samples.gy[inner]
             estimated, true = (rays.widths @ ring(*plane, rays.angles, s, table) for s in slopes)
-            lit = true[true > 0]
-            if lit.size:
-                share = max(share, math.sqrt(float(np.mean((estimated - true) ** 2))) / float(lit.mean()))
+            if mean := lit_mean(true):
+                share = max(share, math.sqrt(float(np.mean((estimated - true) ** 2))) / mean)
     if share > audit.tolerance:
         warn(
             f"Tolerance: ground beyond the halo of tiles adds about {100 * share:.2g} % (RMS) to the error,"

@@ -30,6 +30,7 @@ from ..samples import (
     SAMPLED_SLOPE,
     Errors,
     Samples,
+    lit_mean,
     samples_of,
     without_walls,
 )
@@ -142,8 +143,8 @@ class Planner(ABC):
     @property
     def mean(self) -> float:
         """Mean of the exact light over the lit samples, ``samples.least`` at least; inf if both are 0."""
-        lit = self.exact[self.exact > 0] if self.exact is not None else np.zeros(0)
-        return max(float(lit.mean()) if lit.size else 0.0, self.samples.least) or math.inf
+        known = 0.0 if self.exact is None else lit_mean(self.exact)
+        return max(known, self.samples.least) or math.inf
 
     def between_surfaces(self, direct: np.ndarray | None) -> float | None:
         """RMS of the light between surfaces over the mean of the direct light, None where that is not known.
