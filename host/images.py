@@ -17,13 +17,12 @@ from .planning.plan import Plan
 from .refinement import Refined
 from .scene import Scene
 
-QUANTITIES = ("radiance", "irradiance")
 # of DataArrays; their unit is that of the source's brightness, or of brightness x sr
 IMAGES = {
     "radiance": Quantity("radiance", None, "radiance, in the unit of the source's brightness"),
     "irradiance": Quantity("irradiance", None, "irradiance, in the unit of the source's brightness times sr"),
 }
-ERRORS = {name: Quantity(f"{name}_error", None, f"estimated error of the {name}") for name in QUANTITIES}
+ERRORS = {name: Quantity(f"{name}_error", None, f"estimated error of the {name}") for name in IMAGES}
 # nodes to each side of a node over which the error map is a mean: halves estimate regions, not single nodes
 ERROR_MAP_RADIUS = 4
 # error map over that mean: 90, 98 and 99 % of the nodes of 53 random pairs (performance/refinement.py) are

@@ -10,7 +10,7 @@ from . import shading, sources
 from .checks import one_of, positive_number
 from .directions import Azimuths, Hemicube
 from .errors import bad
-from .images import QUANTITIES
+from .images import IMAGES
 from .interreflection import check_choice
 from .light import lattice
 from .light.propagation import Lobe
@@ -86,7 +86,7 @@ class Options:
         """InputError unless all arguments go together."""
         is_scene(scene)
         one_of(self.method, RENDER_METHODS, "method")
-        one_of(self.quantity, QUANTITIES, "quantity")
+        one_of(self.quantity, tuple(IMAGES), "quantity")
         one_of(self.weights, ("moment", "printed"), "weights")
         if not isinstance(self.filled, (bool, type(None))):
             raise bad("filled", repr(self.filled), "True, False or None")

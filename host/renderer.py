@@ -192,7 +192,7 @@ class Renderer:
             if not self.planned:
                 return irradiances, per_colour(self.greys, lobe_of)
             return irradiances, _refined_lobes(self, lobe_of, irradiances)
-        return irradiances, self._mirrored(self.options.max_distance)
+        return irradiances, self._mirrored()
 
     def _irradiances(self) -> list[Irradiance]:
         if self.planned:
@@ -293,10 +293,10 @@ class Renderer:
             np.minimum(image, np.float32(np.max(brightness)), out=image)  # no lobe shows more than there is
         return image
 
-    def _mirrored(self, max_distance: float | None) -> list[np.ndarray]:
+    def _mirrored(self) -> list[np.ndarray]:
         if not self.options.mirror(self.scene):
             return []
-        images, lit = shading.mirrored(self.scene, self.greys, self.engine, max_distance)
+        images, lit = shading.mirrored(self.scene, self.greys, self.engine, self.options.max_distance)
         self.unlit = ~lit
         return images
 
@@ -333,13 +333,13 @@ class Renderer:
                 self.warnings += _missed_by_rays(self, lights)
             return [], list(images)
         if refined_light and lobe is None:
-            return refined_light, self._mirrored(None)
+            return refined_light, self._mirrored()
         if options.weights == "printed":
             moments = cube.directions * cube.solid_angles[:, None] * brightness[..., None]
         irradiances, reflected = propagation.light(
             self.engine, problem, moments, lobe, shares, whole, self.on_device
         )
-        return refined_light or irradiances, reflected + self._mirrored(None)
+        return refined_light or irradiances, reflected + self._mirrored()
 
 
 def _by_cells(
