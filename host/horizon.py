@@ -103,7 +103,7 @@ def horizons(
 
 
 def horizon_at(
-    scene: Scene, row: int, col: int, angles: np.ndarray, backend: str, max_distance: float | None = None
+    scene: Scene, row: int, col: int, angles: np.ndarray, backend: str, max_distance: float | None
 ) -> np.ndarray:
     """The horizon's slope at one node, at least 0, by exact rays along ``angles`` [rad] of the map's axes:
     (azimuths,) float64.

@@ -174,7 +174,7 @@ def layout_of(
     tiling: Tiling | None,
     max_distance: float | None,
     audit: Audit,
-    between: bool | None = False,
+    between: bool | None,
 ) -> Layout:
     """The layout of a scene's map, checked; ``between``: as for :func:`layout_of_map`."""
     tiling = USUAL if tiling is None else tiling
@@ -853,7 +853,7 @@ def _block_sums(*given: Any) -> np.ndarray:
     return sums_of_tile(*given)[None, None]
 
 
-def _overviews(da: Any, heights: Any, layout: Layout, sums: Any = None) -> tuple[Any, Any, Any]:
+def _overviews(da: Any, heights: Any, layout: Layout, sums: Any) -> tuple[Any, Any, Any]:
     """(Overviews of every tile, the levels that all tiles see, heights once these are known); lazy.
 
     (None, None, heights) where nothing beyond the halo counts. ``sums``: what else is computed before.

@@ -124,8 +124,8 @@ class Sliced(LightMethod):
         source: sources.Source,
         solid: Ball | Quad,
         units: int,
-        rays: int = 0,
-        sky: Integrals | None = None,
+        rays: int,
+        sky: Integrals | None,
     ):
         self.engine, self.scene, self.units, self.rays = engine, scene, units, rays
         self.there = scene.on(engine)

@@ -58,7 +58,7 @@ class Lattice(HostImage):
         scene: Scene,
         source: sources.Source,
         units: int,
-        sky: Integrals | None = None,
+        sky: Integrals | None,
     ):
         """``sky``: of the brightness of a window, if that varies."""
         self.engine, self.scene, self.source, self.units, self.sky = engine, scene, source, units, sky

@@ -126,7 +126,7 @@ class _Nodes(NamedTuple):
 
 
 def _looking(
-    line: Line, gx: Values, gy: Values, at: np.ndarray, cone: Cone | None = None, wide: bool = False
+    line: Line, gx: Values, gy: Values, at: np.ndarray, cone: Cone | None, wide: bool = False
 ) -> tuple[_Nodes, np.ndarray]:
     """Nodes at ``at`` (3, ...), with the angles of the line's part within the cone; its unit vector (3,).
 

@@ -397,7 +397,7 @@ def carve(
     weights: np.ndarray,
     layers: int,
     by_sign: bool,
-    progress: Progress | None = None,
+    progress: Progress | None,
 ) -> np.ndarray:
     """Depth in layers (rows, cols) int32 by the inverse algorithm, from the depth 0 of the ``problem`` on;
     arguments as of skylamp.oracle.carve.

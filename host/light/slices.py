@@ -332,7 +332,7 @@ def _on_unit(count: int) -> np.ndarray:
     return table
 
 
-def ball_quadrature(most: int, shift: float = 0.5) -> np.ndarray:
+def ball_quadrature(most: int, shift: float) -> np.ndarray:
     """(most / SLICES, 4, most) float32, as the kernel ``ball`` reads it.
 
     ``shift``: where in its step a slice lies.
