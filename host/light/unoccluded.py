@@ -199,22 +199,21 @@ def lamp(
     along ``rays_per_node`` rays, 1 or a power of 4, each weighted by the light of its part of the source.
     Arrays that broadcast.
     """
-    middle = np.array(
-        solid.center if isinstance(solid, Ball) else np.asarray(solid.corners).mean(0), np.float32
-    )
-    to = middle[0] - x, middle[1] - y, middle[2] - height
     up = 1 / np.sqrt(1 + gx * gx + gy * gy)
     light: np.ndarray
     if isinstance(solid, Ball):
-        light = _ball(gx, gy, to, up, solid)
+        center = np.array(solid.center, np.float32)
+        to = center[0] - x, center[1] - y, center[2] - height
+        light, rays = _ball(gx, gy, to, up, solid), _rays_to_ball(solid, to, rays_per_node)
     else:
         light = _quadrangle(gx, gy, x, y, height, up, solid)
+        rays = _rays_to_quadrangle(solid, x, y, height, rays_per_node)
     if not callable(brightness):
         assert not isinstance(brightness, tuple), "channels are rendered one by one"
         return (light * float(brightness)).astype(np.float32)
     total: Values = 0.0
     whole: Values = 1e-30
-    for way, weight in _rays(solid, to, x, y, height, rays_per_node):
+    for way, weight in rays:
         size = np.sqrt(np.maximum(way[0] ** 2 + way[1] ** 2 + way[2] ** 2, LEAST_SQUARE))
         if rays_per_node > 1:
             weight = weight * np.maximum(0, (way[0] * gx + way[1] * gy + way[2]) / size)
@@ -313,24 +312,10 @@ def _clipped(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return light
 
 
-def _rays(
-    solid: Ball | Quad, to: Vector, x: Values, y: Values, height: Values, count: int
-) -> Iterator[tuple[Vector, Values]]:
-    """``count`` vectors to parts of a source from (x, y, height), and a weight for each.
-
-    ``to``: the vectors to its middle.
-    """
-    if isinstance(solid, Quad):
-        yield from _rays_to_quadrangle(solid, x, y, height, count)
-    elif count == 1:
-        yield to, 1.0
-    else:
-        yield from _rays_to_ball(solid, to, count)
-
-
 def _rays_to_quadrangle(
     quad: Quad, x: Values, y: Values, height: Values, count: int
 ) -> Iterator[tuple[Vector, Values]]:
+    """``count`` vectors to parts of a quadrangle from (x, y, height), and a weight for each."""
     corners = np.asarray(quad.corners, np.float32)
     edges = corners[1] - corners[0], corners[3] - corners[0]
     long, wide = (float(np.linalg.norm(edge)) for edge in edges)
@@ -363,6 +348,10 @@ def _gauss(count: int) -> Iterator[tuple[np.float32, float]]:
 
 
 def _rays_to_ball(ball: Ball, to: Vector, count: int) -> Iterator[tuple[Vector, Values]]:
+    """The same to parts of a ball, ``to`` the vectors to its centre."""
+    if count == 1:
+        yield to, 1.0
+        return
     flat, far = np.sqrt(to[0] ** 2 + to[1] ** 2), np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
     c, s, rise = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9), -to[2] / far
     rings = max(1, round(math.sqrt(count) / 2))
