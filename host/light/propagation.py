@@ -106,7 +106,8 @@ class Surface:
         _check_search(backend, problem, relief, groups)
         if problem.geometry.is_lamp:
             _check_rays(backend, problem, problem.depth.most, 1, "visibility")
-        self.maps = self._maps()
+        self.maps = backend.empty((2, self.room), np.float32, 0)  # the map, and room for the same turned
+        problem.depth.copy_into(self.maps)
         self.depth = backend.view(self.maps, problem.depth.shape)
         self.planes = backend.empty((max(g.n_walks + len(g.pairs) for g in groups), self.room), np.uint8)
         self.numbers = backend.table(problem.geometry.numbers)
@@ -114,12 +115,6 @@ class Surface:
         self.groups = [self._upload(group) for group in groups]
         self.turn()
         self.find_laps(problem.depth.download() if self.periodic else None)
-
-    def _maps(self) -> Array:
-        """The map and room for the same turned, (2, room) float32."""
-        both = self.backend.empty((2, self.room), np.float32, 0)
-        self.problem.depth.copy_into(both)
-        return both
 
     @property
     def periodic(self) -> bool:
