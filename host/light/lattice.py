@@ -12,7 +12,7 @@ from ..backends.base import Backend
 from ..directions import Hemicube
 from ..samples import Samples
 from ..scene import Scene
-from ..sources.integrals import BrightPart, Integrals, even, level_of, without
+from ..sources.integrals import BrightPart, Integrals, antiderivatives, even, level_of, without
 from . import propagation
 from .base import HostImage
 from .propagation import Problem
@@ -102,8 +102,7 @@ def moments_of(source: sources.Source, cube: Hemicube, sky: Integrals | None) ->
     edges = np.linspace(0, np.pi / 2, BRIGHTNESS_ELEVATIONS + 1)
     begin, end = azimuths.angles - azimuths.widths / 2, azimuths.angles + azimuths.widths / 2
     light = -np.diff(sky.above(begin, end, np.sin(edges)), axis=2)
-    both = edges / 2 + np.sin(2 * edges) / 4, np.sin(edges) ** 2 / 2  # integrals of cos^2 and of sin cos
-    one = np.diff(both)[:, None] * azimuths.widths[:, None]
+    one = np.diff(antiderivatives(edges))[:, None] * azimuths.widths[:, None]
     middle = (edges[:-1] + edges[1:]) / 2
     cell = _cells_of(cube, np.repeat(azimuths.angles, len(middle)), np.tile(middle, len(azimuths)))
     of_light, of_one = (np.bincount(cell, part.sum(0).ravel(), len(cube)) for part in (light, one))

@@ -103,7 +103,7 @@ class Cells(NamedTuple):
     @property
     def moments(self) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos over azimuth and elevation: (2, n)."""
-        per_width = _antiderivatives(self.high) - _antiderivatives(self.low)
+        per_width = antiderivatives(self.high) - antiderivatives(self.low)
         moments: np.ndarray = self.light * self.width * per_width
         return moments
 
@@ -172,7 +172,7 @@ class BrightPart:
             )
             order = np.argsort(cells.azimuth, kind="stable")
             cells, row = cells.pick(order), row[which][order]
-        lowest, highest = map(_antiderivatives, ends)
+        lowest, highest = map(antiderivatives, ends)
         moments = cells.light * cells.width * (highest - lowest)[:, row]
         share = np.cumsum(moments.sum(0))
         share = (share - moments.sum(0) / 2) / share[-1] * count + (0.5 if shifted else 0.0)
@@ -220,7 +220,7 @@ class Band(NamedTuple):
     @property
     def moments(self) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos over every cell: (2, rows, n)."""
-        moments: np.ndarray = self.light * (self.width * np.diff(_antiderivatives(self.borders)))[..., None]
+        moments: np.ndarray = self.light * (self.width * np.diff(antiderivatives(self.borders)))[..., None]
         return moments
 
     def cells(self, row: np.ndarray, col: np.ndarray, first: int) -> Cells:
@@ -794,7 +794,7 @@ def _between(sums: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray
     return np.moveaxis(until(end) - until(begin), 0, 2)
 
 
-def _antiderivatives(elevation: np.ndarray) -> np.ndarray:
+def antiderivatives(elevation: np.ndarray) -> np.ndarray:
     """Integrals of cos^2 and of sin cos from level: (2, ...)."""
     return np.stack([elevation / 2 + np.sin(2 * elevation) / 4, np.sin(elevation) ** 2 / 2])
 
