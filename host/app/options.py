@@ -157,7 +157,9 @@ Tail = Annotated[
 ]
 
 # -- of recover
-Image = Annotated[Path, argument(metavar="INPUT", help="Image of radiance: .npy, .npz, grey .png or .tif")]
+Image = Annotated[
+    Path, argument(metavar="INPUT", help="Image of radiance: .npy, .npz, .exr, grey .png or .tif")
+]
 RecoverMethod = Annotated[
     Literal["robust", "paper"],
     typer.Option(help="robust: the surface whose image is nearest to this one | paper: carving"),
