@@ -290,8 +290,8 @@ def spacing_of(labels: Labels | None) -> float:
             "even steps, the same along both axes",
             "Resample the map to square cells.",
         )
-    factors = factors_of(labels)  # of areas, so that the root is length on the map over that on the ground
-    if (text := stretched(1.0 if factors is None else math.sqrt(factors.areal_scale))) is not None:
+    factors = factors_of(labels)
+    if factors is not None and (text := stretched(factors.tissot_semiminor, factors.tissot_semimajor)):
         warnings.warn(text, stacklevel=2)
     return float(np.mean([step.mean() for step in steps if step.size]))
 
@@ -340,14 +340,19 @@ def factors_of(labels: Labels) -> Any:
     return pyproj.Proj(system).get_factors(*place)
 
 
-def stretched(stretch: float) -> str | None:
-    """What to say of a map whose lengths are ``stretch`` times those on the ground; None within 1 %."""
-    if abs(stretch - 1) <= LENGTH_TOLERANCE:
+def stretched(least: float, most: float) -> str | None:
+    """What to say of a map whose lengths are so many times those on the ground, in the directions where they
+    are ``least`` and ``most``; None within 1 %.
+    """
+    if max(abs(least - 1), abs(most - 1)) <= LENGTH_TOLERANCE:
         return None
+    mean = math.sqrt(least * most)
+    is_even = most <= least * (1 + LENGTH_TOLERANCE)
+    factor = f"{mean:.3g}" if is_even else f"{least:.3g} to {most:.3g}"
     return (
-        f"Projection: lengths on this map are {stretch:.3g} times those on the ground, so slopes and shadows"
-        f" are wrong. Warp it to a system that keeps lengths here, such as UTM, or divide the spacing by"
-        f" {stretch:.3g}."
+        f"Projection: lengths on this map are {factor} times those on the ground, so slopes and shadows"
+        " are wrong. Warp it to a system that keeps lengths here, such as UTM"
+        + (f", or divide the spacing by {factor}." if is_even else ".")
     )
 
 

@@ -120,17 +120,26 @@ def test_colours_are_bands(tmp_path, fast):
         ("EPSG:3857", 4e5, 0, None),
         ("EPSG:32632", 4e5, 5.2e6, None),
         ("EPSG:32660", 833_800, 1e4, None),
+        ("EPSG:3035", 5.09e6, 4.26e6, None),  # equal areas, 11 degrees from its middle
+        ("EPSG:3035", 2.66e6, 1.95e6, "0.987 to 1.01"),
         (MOON, 4e5, 1e6, None),
     ],
 )
 def test_a_projection_that_stretches_the_map_is_told(tmp_path, crs, east, north, stretch):
-    """Web Mercator far from the equator; not UTM, also across 180 degrees, nor a moon, which is not known."""
+    """Web Mercator far from the equator, equal areas far from their middle; not UTM, also across 180 degrees,
+    nor a moon, which rasterio does not know. A DataArray is told the same.
+    """
+    rioxarray = pytest.importorskip("rioxarray")
     path = make(tmp_path / "dem.tif", crs=crs, transform=from_origin(east, north, 25, 25))
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        assert geo.read(path).spacing == 25
-    texts = [str(one.message) for one in told if "Projection" in str(one.message)]
-    assert [f"{stretch} times" in text for text in texts] == ([True] if stretch else [])
+    of_file = lambda: geo.read(path).spacing
+    of_array = lambda: sl.Scene.from_height(rioxarray.open_rasterio(path, masked=True)[0]).spacing
+    for spacing_of in (of_file, of_array) if crs != MOON else (of_file,):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            assert spacing_of() == 25
+        texts = [str(one.message) for one in told if "Projection" in str(one.message)]
+        assert [f"{stretch} times" in text for text in texts] == ([True] if stretch else [])
+        assert all(("divide the spacing" in text) == ("to" not in stretch) for text in texts)
 
 
 def test_a_spacing_that_is_given_silences_its_warnings(tmp_path):

@@ -257,7 +257,7 @@ def _spaced(path: Path, raster: Raster, resample: bool | None, spacing: float | 
         east = north = min(east, north)
     if spacing is not None:
         return replace(raster, spacing=positive_number(spacing, "spacing"))
-    if (text := stretched(_stretch(path, raster))) is not None:
+    if (text := stretched(*_stretch(path, raster))) is not None:
         warnings.warn(f"{path}: {text}", stacklevel=2)
     return replace(raster, spacing=float(np.sqrt(east * north) / vertical))
 
@@ -350,26 +350,28 @@ def _metres(path: Path, raster: Raster) -> tuple[float, float]:
     return east * lengths[1][0], north * lengths[1][1]
 
 
-def _stretch(path: Path, raster: Raster) -> float:
-    """Length on the map over that on the ground, at its middle; 1 where that is not known."""
+def _stretch(path: Path, raster: Raster) -> tuple[float, float]:
+    """Length on the map over that on the ground, at its middle, in the directions where it is least and most;
+    1 if it is not known.
+    """
     crs = raster.crs
     if crs is None or not crs.is_projected:
-        return 1.0
+        return 1.0, 1.0
     rasterio = _rasterio(path)
     rows, cols = raster.values.shape
     t = raster.transform
     x, y = t.c + t.a * cols / 2, t.f + t.e * rows / 2
     step = 1000 / crs.linear_units_factor[1]  # a kilometre
     try:
-        longitudes, latitudes = rasterio.warp.transform(
-            crs, "EPSG:4326", [x - step / 2, x + step / 2], [y, y]
-        )
+        corners = [x, x + step, x], [y, y, y + step]
+        longitudes, latitudes = map(np.array, rasterio.warp.transform(crs, "EPSG:4326", *corners))
     except Exception:  # of another celestial body; the class of the error is private to rasterio
-        return 1.0
-    degrees = _degrees(np.mean(latitudes))
-    east = (np.diff(longitudes)[0] + 180) % 360 - 180  # a map may lie across 180 degrees
-    ground = np.hypot(east * degrees[0], np.diff(latitudes)[0] * degrees[1])
-    return 1000 / float(ground) if ground > 0 else 1.0
+        return 1.0, 1.0
+    degrees = _degrees(latitudes.mean())
+    east = (longitudes[1:] - longitudes[0] + 180) % 360 - 180  # a map may lie across 180 degrees
+    ground = np.array([east * degrees[0], (latitudes[1:] - latitudes[0]) * degrees[1]]) / 1000
+    most, least = np.linalg.svd(ground, compute_uv=False)
+    return (1 / float(most), 1 / float(least)) if least > 0 else (1.0, 1.0)
 
 
 def _degrees(latitude: float) -> tuple[float, float]:
