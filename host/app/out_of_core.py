@@ -161,7 +161,7 @@ def image(
     source: Source,
     backend: str,
     words: dict[str, Any],
-    spacing: float | None,
+    spacing: float | None = None,
     **options: Any,
 ) -> Quantity:
     """The image of `skylamp render`.
