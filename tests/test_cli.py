@@ -291,7 +291,7 @@ def test_recover(here, capsys):
 
 @pytest.mark.slow
 def test_recover_leaves_out_what_a_mask_says(here, fast, capsys):
-    """--mask, and cells of a raster without data: as mask= of the function."""
+    """--mask, 0 or nan: as mask= of the function; its gaps are black in the picture."""
     image = np.load("image.npy")
     known = np.ones(image.shape, bool)
     known[2:4, 3] = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 from importlib import metadata
@@ -42,12 +43,10 @@ def _caches() -> dict[str, Path]:
     """Where compiled kernels are kept."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     folders = {"pocl": Path(os.environ.get("POCL_CACHE_DIR") or home / "pocl")}
-    try:
+    with contextlib.suppress(ImportError):
         import warp
 
         folders["warp"] = Path(warp.config.kernel_cache_dir or home / "warp")
-    except ImportError:
-        pass
     return folders
 
 

@@ -404,8 +404,7 @@ class Page:
 def check_port(port: int) -> None:
     """InputError where another program listens on this port, or it is not allowed to this user."""
     try:
-        with socket.create_server(("127.0.0.1", port)):
-            pass
+        socket.create_server(("127.0.0.1", port)).close()
     except OSError as error:
         raise bad("--port", f"{port} ({error.strerror})", "a port that is free") from None
 

@@ -53,20 +53,19 @@ def available_memory() -> int:
 
 
 def _left_by_limits() -> Iterator[float]:
-    try:
+    with contextlib.suppress(ImportError, OSError):
         import resource
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY:
             with open("/proc/self/statm") as sizes:
                 yield limit - int(sizes.read().split()[0]) * resource.getpagesize()
-    except (ImportError, OSError):
-        pass
-    try:
-        with open("/sys/fs/cgroup/memory.max") as most, open("/sys/fs/cgroup/memory.current") as used:
-            yield int(most.read()) - int(used.read())  # "max", where there is no limit, is no number
-    except (OSError, ValueError):
-        pass
+    with (
+        contextlib.suppress(OSError, ValueError),  # "max", where there is no limit, is no number
+        open("/sys/fs/cgroup/memory.max") as most,
+        open("/sys/fs/cgroup/memory.current") as used,
+    ):
+        yield int(most.read()) - int(used.read())
     yield math.inf
 
 

@@ -48,7 +48,7 @@ def by_light(images: list[np.ndarray], lights: list[sources.Source], known: list
             light, name = lights[m], f"mean of images {listed}"
             numbers = [sources.number_of(lights[n]) for n in alike]
             brightness = float(np.mean(numbers))
-            # of the images that are known at a pixel, which may be few: their sum in the unit of all
+            # of a pixel: the brightnesses of the images that know it, over the mean brightness of all
             total = np.sum([number * known[n] for number, n in zip(numbers, alike)], axis=0) / brightness
             where, by_all = total > 0, np.all([known[n] for n in alike], axis=0)
             image = np.sum([images[n] for n in alike], axis=0) / np.where(where, total, 1)

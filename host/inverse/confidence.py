@@ -20,8 +20,8 @@ from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
 from .place import FreePlace, free_place, most_of
 from .posterior import posterior_deviation, posterior_samples, shift_by
-from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, away_from_images, on_coarser_grid
-from .resampling import blurred, doubled, halved, halved_depth
+from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid, shown
+from .resampling import blurred, distance_from, doubled, halved, halved_depth
 from .search import Rival
 
 # an error of depth up to this share of the range of depths, and at least so many nodes, counts as right; the
@@ -207,9 +207,9 @@ def by_gaps(judged: Judged) -> np.ndarray:
     """Squared distance by which depth may leave its smooth continuation in gaps of all images: what the mean
     curvature of the rest makes of the distance to it, at most the relief of the whole.
     """
-    away, z = away_from_images(judged.pyramid, judged.level), judged.z
-    seen = away == 0
-    bends = np.diff(z, 2, axis=0)[seen[1:-1]], np.diff(z, 2, axis=1)[seen[:, 1:-1]]
+    known, z = shown(judged.pyramid, judged.level), judged.z
+    away = distance_from(known)
+    bends = np.diff(z, 2, axis=0)[known[1:-1]], np.diff(z, 2, axis=1)[known[:, 1:-1]]
     curvature = math.sqrt(float(np.mean(np.concatenate(bends) ** 2))) if sum(map(len, bends)) else 0.0
     apart: np.ndarray = np.minimum(curvature * away**2 / 2, math.sqrt(2) * float(z.std()))
     return apart**2

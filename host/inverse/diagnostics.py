@@ -13,7 +13,8 @@ from ..scene import Scene
 from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
 from .place import FreePlace
-from .pyramid import COARSEST, IMAGE_RMS, Pyramid, away_from_images
+from .pyramid import COARSEST, IMAGE_RMS, Pyramid, shown
+from .resampling import distance_from
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
 # share and number of the pixels at the greatest or least depth allowed from which on there is a warning.
@@ -180,7 +181,7 @@ def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
 def of_gaps(pyramid: Pyramid) -> list[str]:
     """Warning that gaps are so wide that ground in them may hide light from their surroundings."""
     level = next((n for n in range(pyramid.coarsest) if pyramid.is_small(n)), pyramid.coarsest)
-    away = 2**level * away_from_images(pyramid, level).max()
+    away = 2**level * distance_from(shown(pyramid, level)).max()
     if away < max(WIDE_GAP * max(pyramid.shape(0)), LEAST_WIDE):
         return []
     return [

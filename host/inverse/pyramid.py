@@ -21,7 +21,7 @@ from .. import sources
 from ..backends.base import Backend
 from .descent import Descent
 from .lights import Light, brightness_of, light_of
-from .resampling import cubic, distance_from, doubled, halved
+from .resampling import cubic, doubled, halved
 
 log = logging.getLogger("skylamp")
 COARSEST = 16  # nodes on the shorter side of the coarsest grid
@@ -173,9 +173,7 @@ class Pyramid:
 
     def _expect_albedo(self, level: int, z: np.ndarray) -> None:
         """Expects the median of the albedo at z everywhere, from here on."""
-        self.expected_albedo = float(
-            np.median(self.problem(level).fitted_albedo(z)[away_from_images(self, level) == 0])
-        )
+        self.expected_albedo = float(np.median(self.problem(level).fitted_albedo(z)[shown(self, level)]))
         for problem in self.problems.values():
             assert problem.albedo is not None, "the albedo is not known"
             problem.albedo.set_prior(self.expected_albedo)
@@ -288,9 +286,10 @@ def without_gaps(pyramid: Pyramid) -> Pyramid:
     return filled
 
 
-def away_from_images(pyramid: Pyramid, level: int) -> np.ndarray:
-    """(rows, cols) nodes of a grid from every node to the nearest that an image shows a part of."""
-    return distance_from(np.max(pyramid.weights[level], axis=0) > 0)
+def shown(pyramid: Pyramid, level: int) -> np.ndarray:
+    """(rows, cols) bool: nodes of a grid of which an image shows at least a part."""
+    nodes: np.ndarray = np.max(pyramid.weights[level], axis=0) > 0
+    return nodes
 
 
 @contextlib.contextmanager
