@@ -59,6 +59,7 @@ first. On a GPU the LINES work-items of a group keep the rows about them in loca
 #define TILED (!ON_CPU && !BLOCKS && SIDES != PERIODIC && TILE_SIZE <= MOST_TILE)
 #define LIT (WHAT == UNIFORM || WHAT == TABLE)
 #define RUNGS ((1 + FALLS) * LADDER)
+#define ROWS_AHEAD 4            /* 2 and 10 are as good */
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (NEAR - 1) /* the last one within NEAR rows lies on a row */
 
@@ -301,6 +302,20 @@ __kernel void sweep(__global const float *restrict heights, __global const float
       }
       barrier(CLK_LOCAL_MEM_FENCE);
       here = tile - (first_row * PITCH + first_column);
+    }
+#endif
+
+#ifdef PREFETCH
+    const int later = towards > 0 ? u + ROWS_AHEAD : rows - 1 - u - ROWS_AHEAD,
+              later_x = line + (int)floor(0.5f - shear * (u + ROWS_AHEAD)),
+              later_at = (later + margin) * stride + margin + later_x;
+    for (int q = 0; q < STRIPS; q += 2) { /* a cache line has two vectors */
+      PREFETCH(heights + later_at + LANES * q);
+      if (LIT) {
+        PREFETCH(tilts + later_at + LANES * q);
+        PREFETCH(tilts + room + later_at + LANES * q);
+        PREFETCH(sum + later * cols + later_x + LANES * q);
+      }
     }
 #endif
 

@@ -26,6 +26,11 @@ typedef JOIN(uchar, LANES) uchars;
 #define WHERE(test) (test)
 #define as_uints JOIN(as_uint, LANES)
 #endif
+/* Fetches what a CPU does not foresee: rows of a large map lie farther apart than the pages within which it
+   looks ahead. Addresses may lie outside a buffer. */
+#if ON_CPU && defined(__clang__)
+#define PREFETCH(pointer) __builtin_prefetch((const void *)(size_t)(pointer))
+#endif
 /* READ as LOAD. PoCL calls its vload, but these are inline; a GPU would read a packed struct by bytes. */
 typedef struct __attribute__((packed)) { floats v; } loose_floats;
 typedef struct __attribute__((packed)) { ints v; } loose_ints;
