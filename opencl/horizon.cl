@@ -311,6 +311,8 @@ __kernel void sweep(__global const float *restrict heights, __global const float
               later_at = (later + margin) * stride + margin + later_x;
     for (int q = 0; q < STRIPS; q += 2) { /* a cache line has two vectors */
       PREFETCH(heights + later_at + LANES * q);
+      if (known || WHAT == SLOPES)
+        PREFETCH(slopes + ((size_t)get_group_id(1) * rows + later) * cols + later_x + LANES * q);
       if (LIT) {
         PREFETCH(tilts + later_at + LANES * q);
         PREFETCH(tilts + room + later_at + LANES * q);
