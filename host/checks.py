@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,14 @@ def as_real(values: Any, what: str, ndim: int | None = 2) -> np.ndarray:
 def one_of(value: object, allowed: tuple[str, ...], what: str) -> None:
     if not isinstance(value, str) or value not in allowed:
         raise bad(what, repr(value), " | ".join(allowed))
+
+
+def number_or_nan(value: Any) -> float:
+    """``value`` as a float, nan where it is no number."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
 
 
 def positive_number(value: Any, what: str) -> float:

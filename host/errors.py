@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Self
+import importlib
+from typing import Any, Self
 
 LONGEST_VALUE = 400  # characters of a value in a message; chosen: a path of usual length is shorter
 
@@ -40,6 +41,14 @@ def bad(what: str, got: object, allowed: str, fix: str = "") -> InputError:
     if len(text) > LONGEST_VALUE:
         text = f"{text[:LONGEST_VALUE]} ..."
     return InputError(f"{what}: got {text}; allowed: {allowed}." + (f" {fix}" if fix else ""))
+
+
+def import_extra(what: str, package: str, extra: str, *modules: str) -> list[Any]:
+    """These modules, imported in turn; the error of :func:`lacking` where one cannot be."""
+    try:
+        return [importlib.import_module(name) for name in modules]
+    except ImportError as error:
+        raise lacking(what, package, extra, error) from error
 
 
 def lacking(what: str, package: str, extra: str, error: ImportError) -> InputError:

@@ -249,10 +249,7 @@ def openness(
         turned = _upside_down(scene)
         scene = Scene.from_height(turned, scene.spacing, mask=scene.mask, sides=scene.sides)
     work = partial(
-        mean_openness,
-        azimuths=sectors_of(azimuths, scene.axes),
-        backend=backend,
-        upside_down=bool(negative),
+        mean_openness, azimuths=sectors_of(azimuths, scene.axes), backend=backend, upside_down=bool(negative)
     )
     with limited(max_seconds, "openness", scene, backend):
         angles: np.ndarray = over_tiles(work, scene, tiling, max_distance, backend, OPENNESS[bool(negative)])

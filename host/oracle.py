@@ -647,11 +647,7 @@ Ground = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # distanc
 
 
 def _ground(
-    height: np.ndarray,
-    row: np.ndarray,
-    col: np.ndarray,
-    crossing: Crossing,
-    sides: str,
+    height: np.ndarray, row: np.ndarray, col: np.ndarray, crossing: Crossing, sides: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Height of the ground at a crossing, the nodes before and after it and the weight of the latter, (n,).
 

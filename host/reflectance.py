@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import labels_of
-from .checks import at, real_array
+from .checks import at, number_or_nan, real_array
 from .errors import bad
 from .radiometry import directional_hemispheric
 
@@ -70,10 +70,7 @@ class Phong:
 
     def __post_init__(self) -> None:
         _shares(self)
-        try:
-            exponent = float(self.exponent)
-        except (TypeError, ValueError, OverflowError):
-            exponent = np.nan
+        exponent = number_or_nan(self.exponent)
         if not 0 <= exponent <= MOST_EXPONENT:
             raise bad(
                 "Phong: exponent",

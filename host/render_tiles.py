@@ -22,18 +22,7 @@ from .planning.plan import Plan
 from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
 from .renderer import Renderer
 from .samples import Samples, lit_mean, ring
-from .scale import (
-    AUDITED,
-    Audit,
-    Lights,
-    decided,
-    holds,
-    over_area,
-    seen_from_edge,
-    tiled,
-    warn,
-    within_tile,
-)
+from .scale import AUDITED, Audit, Lights, decided, holds, over_area, seen_from_edge, tiled, warn, within_tile
 from .scene import Scene
 from .sources.integrals import FINE_KNOTS, even, integrals
 

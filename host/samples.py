@@ -216,10 +216,7 @@ class Samples:
         return ring(self.gx, self.gy, azimuths, slopes, table)
 
     def sectors(
-        self,
-        ways: np.ndarray,
-        table: np.ndarray,
-        window: tuple[float, float, float, float] | None = None,
+        self, ways: np.ndarray, table: np.ndarray, window: tuple[float, float, float, float] | None = None
     ) -> np.ndarray:
         """Irradiance (nodes,) by small bright parts of a sky.
 
@@ -414,11 +411,7 @@ def _before_wall(
 
 
 def ring(
-    gx: np.ndarray,
-    gy: np.ndarray,
-    azimuths: np.ndarray,
-    slopes: np.ndarray,
-    table: np.ndarray | None = None,
+    gx: np.ndarray, gy: np.ndarray, azimuths: np.ndarray, slopes: np.ndarray, table: np.ndarray | None = None
 ) -> np.ndarray:
     """Irradiance per radian of azimuth of elements of slope (gx, gy) (nodes,) above ``slopes``.
 

@@ -170,11 +170,7 @@ class Layout(NamedTuple):
 
 
 def layout_of(
-    scene: Scene,
-    tiling: Tiling | None,
-    max_distance: float | None,
-    audit: Audit,
-    between: bool | None,
+    scene: Scene, tiling: Tiling | None, max_distance: float | None, audit: Audit, between: bool | None
 ) -> Layout:
     """The layout of a scene's map, checked; ``between``: as for :func:`layout_of_map`."""
     tiling = USUAL if tiling is None else tiling
@@ -640,13 +636,7 @@ def over_area(work: Any, scene: Scene, rows: slice, cols: slice, *leading: int) 
 
 
 def _area(
-    work: Any,
-    spacing: float,
-    rows: slice,
-    cols: slice,
-    window: np.ndarray,
-    highest: float,
-    albedo: Any,
+    work: Any, spacing: float, rows: slice, cols: slice, window: np.ndarray, highest: float, albedo: Any
 ) -> np.ndarray:
     """``work`` of a part of a map; ``highest``: height of the plane z = 0."""
     valid = _valid(window)

@@ -7,7 +7,7 @@ import importlib
 import math
 import warnings
 import weakref
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -462,14 +462,7 @@ def _count_from_least(scene: Scene, values: np.ndarray, rounding: float) -> None
     if np.can_cast(values.dtype, np.float32) or not 0 < most - least < least:
         return
     with np.errstate(invalid="ignore"):  # where masked
-        near = Scene(
-            values - least,
-            scene.spacing,
-            mask=scene.mask,
-            sides=scene.sides,
-            reflectance=scene.reflectance,
-            labels=scene.labels,
-        )
+        near = replace(scene, depth=values - least)
     _set(scene, rounding=rounding, _from_least=near)
 
 

@@ -124,8 +124,7 @@ def stripes(rng):
     count, turn, sharp = int(rng.integers(2, 19)), rng.uniform(0, 2 * np.pi), rng.choice([1.0, 5.0, 1e9])
     wave = lambda L: np.sin(count * np.arctan2(L[..., 1], L[..., 0]) + turn)
     return Light(
-        f"{count} stripes sharpness {sharp:g}",
-        lambda L: 0.05 + np.clip(0.5 + sharp * wave(L), 0, 1),
+        f"{count} stripes sharpness {sharp:g}", lambda L: 0.05 + np.clip(0.5 + sharp * wave(L), 0, 1)
     )
 
 

@@ -34,15 +34,7 @@ import surfaces
 from surfaces import ALBEDO, LAYERS, OTHERS, SURFACES, pair, rms, source_of
 
 import skylamp as sl
-from skylamp.inverse import (
-    confidence,
-    conjugate_gradients,
-    finer_model,
-    lights,
-    multigrid,
-    pyramid,
-    search,
-)
+from skylamp.inverse import confidence, conjugate_gradients, finer_model, lights, multigrid, pyramid, search
 from skylamp.inverse.conjugate_gradients import ConjugateGradients
 from skylamp.inverse.descent import Solution
 from skylamp.inverse.multigrid import Multigrid

@@ -453,11 +453,7 @@ def test_backends(capsys):
         (["render", "depth.npy", "--out", "a.jpg"], 3, ("unknown extension", ".npy .npz .png .tif .tiff")),
         (["render", "depth.npy", "--out", "a.npy", "--spacing", "0"], 3, "spacing"),
         (["render", "depth.npy", "--out", "a.npy", "--albedo", "1.5"], 3, "albedo"),
-        (
-            ["render", "depth.npy", "--out", "a.npy", "--sides", "shut"],
-            2,
-            ("'shut'", "periodic"),
-        ),
+        (["render", "depth.npy", "--out", "a.npy", "--sides", "shut"], 2, ("'shut'", "periodic")),
         (["render", "depth.npy", "--out", "a.npy", "--method", "magic"], 2, "magic"),
         (["render", "depth.npy", "--out", "a.npy", "--quantity", "joy"], 2, "joy"),
         (["render", "depth.npy", "--out", "a.npy", "--hemicube", "8"], 3, ("hemicube", "8", "odd")),

@@ -439,7 +439,7 @@ def test_without_an_opencl_driver_opencl_is_missing_with_a_reason():
         "scene = sl.Scene(np.ones((3, 4)))\n"
         "print(sl.render(scene, sl.Sky(), 'lattice', hemicube=3).backend.split(':')[0])\n"
         "try: sl.render(scene, sl.Sky(), backend='opencl')\n"
-        "except sl.BackendError as error: print(error)\n",
+        "except sl.BackendError as error: print(error)\n"
     )  # the wheel's loader finds PoCL beside itself, whatever variables hide
     lines = [line for line in out.splitlines() if line.startswith(("1 ", "warp", "numpy", "backend"))]
     assert lines[0] == "1 False True" and lines[1] in ("warp", "numpy")

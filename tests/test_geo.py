@@ -483,10 +483,7 @@ def test_south_up(tmp_path, tags, fast):
     options = ("--source", "clear", "--sun", "150,30", "--backend", fast)
     for path in (usual, other):
         assert run("render", path, "--out", path.with_suffix(".lit.tif"), *options) == 0
-    with (
-        rasterio.open(tmp_path / "usual.lit.tif") as a,
-        rasterio.open(tmp_path / "other.lit.tif") as b,
-    ):
+    with rasterio.open(tmp_path / "usual.lit.tif") as a, rasterio.open(tmp_path / "other.lit.tif") as b:
         np.testing.assert_array_equal(a.read(), b.read())
         assert (a.transform, a.tags()) == (b.transform, b.tags())
     arc = 1 / 3600

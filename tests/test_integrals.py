@@ -420,9 +420,7 @@ def test_brightness_that_is_wrong_is_an_input_error(fast):
 
 
 @pytest.mark.parametrize(
-    "k",
-    [1e-34, 1e25, *(pytest.param(k, marks=pytest.mark.slow) for k in (1e-28, 1e-12))],
-    ids=str,
+    "k", [1e-34, 1e25, *(pytest.param(k, marks=pytest.mark.slow) for k in (1e-28, 1e-12))], ids=str
 )
 @pytest.mark.parametrize("how", [{"tolerance": 0.01}, {"azimuths": 24}], ids=["tolerance", "azimuths"])
 def test_faint_and_glaring_skies_scale(fast, how, k):

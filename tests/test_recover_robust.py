@@ -383,8 +383,7 @@ def test_steps_end_where_scipy_ends(fast):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("what", "most", "carving"),
-    [("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)],
+    ("what", "most", "carving"), [("noise 3 %", 0.5, 5), ("8 bits", 1.5, 20), ("albedo 5 %", 1.5, 5)]
 )
 def test_stable_where_carving_is_not(fast, what, most, carving):
     """Change of depth over change of image, as shares of their ranges: small, where carving multiplies it."""

@@ -237,14 +237,7 @@ def test_a_low_band_of_light_is_searched_as_far_as_it_needs(fast):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "source"),
-    [
-        ("flat", HIGH),
-        ("ramp", HIGH),
-        ("dome", HIGH),
-        ("flat", PANEL),
-        ("flat", WINDOW),
-        ("flat", LOW),
-    ],
+    [("flat", HIGH), ("ramp", HIGH), ("dome", HIGH), ("flat", PANEL), ("flat", WINDOW), ("flat", LOW)],
     ids=named,
 )
 def test_what_nothing_hides_is_not_swept(fast, launched, name, source):
@@ -1044,11 +1037,7 @@ def test_the_error_map_has_the_images_shape_and_unit(fast):
     np.testing.assert_allclose(colour.error, grey.error[..., None] * albedo * [1, 2, 3] / np.pi, rtol=1e-5)
     for how in ("auto", True):  # light between surfaces makes an irradiance coloured by its ground
         light = sl.render(
-            sl.Scene(ROUGH, albedo=albedo),
-            sl.Sky(),
-            backend=fast,
-            quantity="irradiance",
-            interreflection=how,
+            sl.Scene(ROUGH, albedo=albedo), sl.Sky(), backend=fast, quantity="irradiance", interreflection=how
         )
         assert light.error.shape == light.image.shape == (SIZE, SIZE, 3)
     for more in (

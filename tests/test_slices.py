@@ -39,11 +39,7 @@ def table_of(light, turns, knots):
 def made(backend, depth, solid, light=1.0, step=1.0, sides="open", **options):
     """Slices that have run; ``light``: a number, a function of directions, or a table of chords."""
     run = slices.Slices(
-        resident_map(backend, depth, step),
-        sides,
-        solid,
-        lit(light) if callable(light) else light,
-        **options,
+        resident_map(backend, depth, step), sides, solid, lit(light) if callable(light) else light, **options
     )
     run.run()
     return run

@@ -77,10 +77,7 @@ def above(
     cosine = 1.0 / square
     if knots == 0:
         return wp.vec4(
-            0.5 * cosine,
-            0.5 * (HALF_PI - arctan(t) - t * cosine),
-            -t * cosine * cosine,
-            -cosine * cosine,
+            0.5 * cosine, 0.5 * (HALF_PI - arctan(t) - t * cosine), -t * cosine * cosine, -cosine * cosine
         )
     diamond = t / (1.0 + t)
     place = diamond * wp.float32(knots - 1)

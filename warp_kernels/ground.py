@@ -64,11 +64,7 @@ def tilt(
 
 @wp.kernel
 def turn(
-    maps: wp.array[wp.float32],
-    turned: wp.array[wp.float32],
-    rows: wp.int32,
-    cols: wp.int32,
-    count: wp.int32,
+    maps: wp.array[wp.float32], turned: wp.array[wp.float32], rows: wp.int32, cols: wp.int32, count: wp.int32
 ):
     """Maps (count, rows, cols) and the same turned, (count, cols, rows).
 

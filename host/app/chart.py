@@ -225,10 +225,7 @@ class _Point:
 
 
 def _timed(
-    case: _Case,
-    backend: str,
-    longest: float,
-    durations: dict[tuple[str, str, str, float], tuple[int, float]],
+    case: _Case, backend: str, longest: float, durations: dict[tuple[str, str, str, float], tuple[int, float]]
 ) -> list[Row]:
     """Rows of all settings on one backend. ``durations``: (last size, its seconds) of each; updated."""
     points: list[_Point] = []

@@ -479,12 +479,7 @@ def field(
     parsing.check_place(light, raster)
     with output.progress_bar("propagating") as progress:
         done = sl.visibility_field(
-            scene,
-            light,
-            hemicube=hemicube,
-            layers=layers,
-            backend=backend,
-            progress=progress,
+            scene, light, hemicube=hemicube, layers=layers, backend=backend, progress=progress
         )
         angle: np.ndarray | None = done.solid_angle() if out else None
         if picture:
@@ -613,10 +608,7 @@ def _difference(c: Comparison) -> str:
 
 @app.command(epilog=epilog("demo"))
 def demo(
-    out: opt.DemoFolder,
-    backend: opt.Backend = "auto",
-    as_json: opt.Json = False,
-    quiet: opt.Quiet = False,
+    out: opt.DemoFolder, backend: opt.Backend = "auto", as_json: opt.Json = False, quiet: opt.Quiet = False
 ) -> None:
     """Render mountains under two skies and a lamp, recover depth from an image, and compare the backends."""
     with output.progress_bar("looking for devices"):

@@ -53,10 +53,7 @@ class Pictures:
 
 
 def demo(
-    folder: Path,
-    backend: str,
-    progress: Callable[[int, int], None] | None = None,
-    silent: bool = False,
+    folder: Path, backend: str, progress: Callable[[int, int], None] | None = None, silent: bool = False
 ) -> dict[str, Any]:
     """Write the pictures into ``folder``, each reported at once unless ``silent``.
 

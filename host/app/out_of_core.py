@@ -24,7 +24,7 @@ import typer
 import skylamp
 
 from ..backends import select
-from ..errors import CapacityError, InputError, bad, lacking
+from ..errors import CapacityError, InputError, bad, import_extra
 from ..horizon import mean_openness, sky_view
 from ..io import geotiff as geo
 from ..io.paths import replacing_file
@@ -184,14 +184,7 @@ def image(
     bands, between = 3 if work.in_colour else 1, work.between
     reach = options.get("max_distance")
     return Quantity(
-        work,
-        work.audit,
-        settings,
-        reach,
-        bands=bands,
-        albedo=scene.albedo,
-        between=between,
-        spacing=spacing,
+        work, work.audit, settings, reach, bands=bands, albedo=scene.albedo, between=between, spacing=spacing
     )
 
 
@@ -242,11 +235,7 @@ def _backend_of(name: str) -> str:
 
 def _imported(module: str) -> Any:
     """A module of the extra ``dask``."""
-    try:
-        importlib.import_module("zarr")
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise lacking("A map in tiles", "dask.distributed, zarr and filelock", "dask", error) from error
+    return import_extra("A map in tiles", "dask.distributed, zarr and filelock", "dask", "zarr", module)[1]
 
 
 def memory_of(tile: int) -> int:

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from .. import oracle, sources
 from ..arrays import axes_of, labels_of
-from ..checks import positive_number, whole_number
+from ..checks import number_or_nan, positive_number, whole_number
 from ..directions import angles_on
-from ..errors import bad, lacking
+from ..errors import bad, import_extra
 from ..horizon import horizon_at
 from ..inverse.recover import Recovery
 from ..io.paths import StrPath, destination, replacing
@@ -324,10 +324,7 @@ def _check_limits(values: np.ndarray, vmin: Any, vmax: Any) -> None:
     """InputError unless the limits, by default the least and the largest finite value, are in order."""
     known = values[np.isfinite(values)]
     least, most = (known.min(), known.max()) if known.size else (0.0, 1.0)
-    try:
-        low, high = float(least if vmin is None else vmin), float(most if vmax is None else vmax)
-    except (TypeError, ValueError, OverflowError):
-        low = high = np.nan
+    low, high = map(number_or_nan, (least if vmin is None else vmin, most if vmax is None else vmax))
     if not (np.isfinite([low, high]).all() and low <= high):
         got = f"{vmin!r}, {vmax!r} of values from {least} to {most}"
         raise bad("plot.terrain: vmin, vmax", got, "finite numbers, vmin <= vmax")
@@ -416,14 +413,8 @@ def drawable(path: StrPath) -> Path:
 
 
 def _matplotlib() -> Any:
-    try:
-        import matplotlib
-        import matplotlib.cm
-        import matplotlib.colors
-
-        return matplotlib
-    except ImportError as error:
-        raise lacking("a picture", "matplotlib", "plot", error) from error
+    modules = "matplotlib", "matplotlib.cm", "matplotlib.colors"
+    return import_extra("a picture", "matplotlib", "plot", *modules)[0]
 
 
 def _figure(width: float, height: float) -> Figure:

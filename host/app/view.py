@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import importlib
 import io as streams
 import math
 import socket
@@ -24,7 +23,7 @@ import imageio.v3 as imageio
 import numpy as np
 
 from ..directions import Azimuths
-from ..errors import SkylampError, bad, lacking
+from ..errors import SkylampError, bad, import_extra
 from ..images import Rendering
 from ..rendering import render
 from ..scene import Scene
@@ -411,10 +410,7 @@ def check_port(port: int) -> None:
 
 def imported() -> Any:
     """NiceGUI. Raises InputError without it."""
-    try:
-        return importlib.import_module("nicegui")
-    except ImportError as error:
-        raise lacking("skylamp view", "nicegui", "view", error) from error
+    return import_extra("skylamp view", "nicegui", "view", "nicegui")[0]
 
 
 def serve(viewer: Viewer, port: int, opens: bool) -> None:

@@ -392,11 +392,7 @@ class _Answer:
 
 
 def _recovered(
-    given: _Given,
-    limits: _Limits,
-    engine: Backend,
-    progress: Progress | None,
-    interreflection: bool | str,
+    given: _Given, limits: _Limits, engine: Backend, progress: Progress | None, interreflection: bool | str
 ) -> Recovery:
     """As asked; for "auto" with light between surfaces, or without if that explains the images better, or
     if their unit, and so what ground sends to ground, is not that of the sources.
@@ -588,9 +584,7 @@ def _check_shape(light: sources.Source, sides: str) -> None:
         )
     if sides == "periodic" and not isinstance(light, sources.Sky):
         raise bad(
-            "method 'robust' with sides='periodic'",
-            type(light).__name__,
-            "a sky, or sides='open' or 'dark'",
+            "method 'robust' with sides='periodic'", type(light).__name__, "a sky, or sides='open' or 'dark'"
         )
 
 

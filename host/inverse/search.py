@@ -389,13 +389,7 @@ STAGES: tuple[Callable[[Search], None], ...] = (
     polish,
     refine,
 )
-STAGES_BETWEEN: tuple[Callable[[Search], None], ...] = (
-    start_direct,
-    start_mirrored,
-    choose,
-    polish,
-    refine,
-)
+STAGES_BETWEEN: tuple[Callable[[Search], None], ...] = (start_direct, start_mirrored, choose, polish, refine)
 
 
 def _best(answers: list[Solution]) -> Solution:

@@ -18,6 +18,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import number_or_nan
 from ..errors import bad
 from . import hdr, png, tiff
 from .paths import HDR, MAP_SUFFIXES, StrPath, destination, readable, reading, replacing, reserve
@@ -174,10 +175,7 @@ def tone_mapped(image: ArrayLike, exposure: float = 0.0) -> np.ndarray:
     ``exposure`` [stops], -1000 to 1000: 0 shows 1 as white, 1 shows 0.5 as white. NaN is black. Raises
     InputError for another exposure, or an image that is no real array.
     """
-    try:
-        stops = np.nan if isinstance(exposure, (str, bytes)) else float(exposure)
-    except (TypeError, ValueError, OverflowError):
-        stops = np.nan
+    stops = np.nan if isinstance(exposure, (str, bytes)) else number_or_nan(exposure)
     if not abs(stops) <= MOST_STOPS:
         raise bad("exposure", repr(exposure), f"a finite number of stops, -{MOST_STOPS} to {MOST_STOPS}")
     light = np.nan_to_num(numbers(image, "tone_mapped: image").astype(np.float64), nan=0.0)

@@ -23,7 +23,7 @@ from numpy.typing import DTypeLike
 from ..arrays import factors_of, labels_of, metres_in, stretched
 from ..checks import positive_number
 from ..constants import MOST_FILE_PIXELS
-from ..errors import bad, lacking
+from ..errors import bad, import_extra
 from ..scene import Scene
 from .files import numbers
 from .paths import StrPath, destination, readable, reading, replacing, reserve
@@ -319,14 +319,8 @@ def write(path: StrPath, array: np.ndarray, like: Raster, *, unit: str = "") -> 
 
 
 def _rasterio(path: Path | str) -> Any:
-    try:
-        import rasterio
-        import rasterio.errors
-        import rasterio.warp
-
-        return rasterio
-    except ImportError as error:
-        raise lacking(f"{path}: a GeoTIFF", "rasterio", "geo", error) from error
+    modules = "rasterio", "rasterio.errors", "rasterio.warp"
+    return import_extra(f"{path}: a GeoTIFF", "rasterio", "geo", *modules)[0]
 
 
 def _metres(path: Path, raster: Raster) -> tuple[float, float]:

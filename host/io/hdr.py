@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..constants import MOST_FILE_PIXELS
-from ..errors import bad, lacking
+from ..errors import bad, import_extra
 from .paths import replacing, reserve
 
 BRIGHTEST_RGBE = 255 * 2.0**119  # that a Radiance picture holds: a mantissa of 255/256, an exponent of 127
@@ -17,17 +17,8 @@ BRIGHTEST_RGBE = 255 * 2.0**119  # that a Radiance picture holds: a mantissa of 
 
 def module(path: Path) -> Any:
     """OpenEXR or OpenCV, whichever reads and writes ``path``; InputError if it is not installed."""
-    try:
-        if path.suffix.lower() == ".exr":
-            import OpenEXR
-
-            return OpenEXR
-        import cv2
-
-        return cv2
-    except ImportError as error:
-        package = "OpenEXR" if path.suffix.lower() == ".exr" else "opencv-python-headless"
-        raise lacking(str(path), package, "hdr", error) from error
+    package, name = ("OpenEXR",) * 2 if path.suffix.lower() == ".exr" else ("opencv-python-headless", "cv2")
+    return import_extra(str(path), package, "hdr", name)[0]
 
 
 def read(path: Path) -> np.ndarray:

@@ -53,12 +53,7 @@ class Lattice(HostImage):
         return f"{self.unit_name} {self.units}"
 
     def __init__(
-        self,
-        engine: Backend,
-        scene: Scene,
-        source: sources.Source,
-        units: int,
-        sky: Integrals | None,
+        self, engine: Backend, scene: Scene, source: sources.Source, units: int, sky: Integrals | None
     ):
         """``sky``: of the brightness of a window, if that varies."""
         self.engine, self.scene, self.source, self.units, self.sky = engine, scene, source, units, sky

@@ -88,7 +88,11 @@ class FinitePlanner(UnitsPlanner):
     radius: float  # of a sphere round it
     apparent: float  # mean apparent radius [rad] of that sphere
     sky: Integrals | None = None  # of a brightness that varies
-    parts_taken: str  # how small bright parts are taken, in the plan's words
+    # in the plan's words, where a closed form does not serve: how small bright parts are taken, why units
+    # serve, and how they take a brightness that varies, and why
+    parts_taken: str
+    why_units = ""
+    brightness_by_units = "along every chord", "integrated"
     # rays from every node to the source along which a brightness that varies is taken, 0: by units
     rays_per_node = 0
     exact: np.ndarray
@@ -125,14 +129,6 @@ class FinitePlanner(UnitsPlanner):
     @abstractmethod
     def _make_refinable(self) -> LightMethod:
         """That method, which can be refined, with its first image."""
-
-    @abstractmethod
-    def _units_in_words(self) -> tuple[str, str]:
-        """Its units, and why they serve, in the plan's words."""
-
-    @abstractmethod
-    def _brightness_in_words(self) -> tuple[str, str]:
-        """How it takes a brightness that varies, and why, in the plan's words."""
 
     def make(self) -> LightMethod:
         if not self.closed:
@@ -202,7 +198,7 @@ class FinitePlanner(UnitsPlanner):
     def _light_taken(self) -> tuple[str, str]:
         """How the light is taken, and why, in the plan's words."""
         if not self.closed:
-            return self._units_in_words()
+            return f"{self.units} {self.method_class.unit_name}", self.why_units
         off = float(point_error(np.sin(self.apparent), 1.0))
         shape = "a sphere, closed form" if isinstance(self.solid, Ball) else "a polygon, closed form"
         taken = "a point" if off <= POINT_SHARE * self.tolerance else shape
@@ -211,7 +207,8 @@ class FinitePlanner(UnitsPlanner):
     def _brightness_taken(self) -> tuple[str, str]:
         """How a brightness that varies is taken, and why, in the plan's words."""
         if not self.rays_per_node:
-            return self._brightness_in_words()
+            taken, why = self.brightness_by_units
+            return taken.format(self.units), why
         rays = "1 ray" if self.rays_per_node == 1 else f"{self.rays_per_node} rays"
         return f"along {rays}", "it varies little across the source"
 
@@ -323,12 +320,6 @@ class SlicePlanner(FinitePlanner):
         sky = None if self.rays_per_node else self.sky
         return Sliced(self.engine, scene, source, solid, self.units, self.rays_per_node, sky)
 
-    def _units_in_words(self) -> tuple[str, str]:
-        return f"{self.units} slices", ""
-
-    def _brightness_in_words(self) -> tuple[str, str]:
-        return "along every chord", "integrated"
-
 
 class LinePlanner(FinitePlanner):
     """A thin source: a closed form, where every node looks at all of it and float32 holds its width; else
@@ -338,6 +329,8 @@ class LinePlanner(FinitePlanner):
     lights: tuple[Light, ...]  # that its brightness is the sum of
     by_points: dict[int, np.ndarray]  # light at the samples by numbers of points
     parts_taken = "points of the line within each, besides those along all of it"
+    why_units = "it is a line to every node"
+    brightness_by_units = "along {} rays", "one to every point"
 
     def _prepare(self) -> None:
         self.by_points, brightness = {}, self.source.brightness
@@ -367,12 +360,6 @@ class LinePlanner(FinitePlanner):
     def refine(self, is_mostly_common: bool) -> bool:
         rays = self.method.ray_count if isinstance(self.method, LinePoints) else 0
         return 2 * rays <= MOST_RAY_EVALUATIONS and super().refine(is_mostly_common)
-
-    def _units_in_words(self) -> tuple[str, str]:
-        return f"{self.units} points", "it is a line to every node"
-
-    def _brightness_in_words(self) -> tuple[str, str]:
-        return f"along {self.units} rays", "one to every point"
 
 
 def looks_thin(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend) -> bool:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import host_array
-from ..checks import real_array
+from ..checks import number_or_nan, real_array
 from ..errors import bad
 
 WIDE_POWER, NARROW_POWER = 64, 1e5  # of spots that are wider than 12 degrees, and narrower than 0.4
@@ -195,11 +195,7 @@ def cosine_power(
     along = np.array(numbers(axis, 3, "cosine_power: axis", "(x, y, z)"))
     if not along.any():
         raise bad("cosine_power: axis", along.tolist(), "three finite numbers, not all zero")
-    try:
-        allowed = not isinstance(power, str) and 0 <= float(power) <= MOST_POWER
-    except (TypeError, ValueError, OverflowError):
-        allowed = False
-    if not allowed:
+    if isinstance(power, str) or not 0 <= number_or_nan(power) <= MOST_POWER:
         raise bad("cosine_power: power", repr(power), f"a finite number >= 0, at most {MOST_POWER:g}")
     if not 1e-100 < (largest := np.abs(along).max()) < 1e100:  # whose squares are no numbers
         along = along / largest

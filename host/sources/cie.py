@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import bad, lacking
+from ..checks import number_or_nan
+from ..errors import bad, import_extra
 from .brightness import Directions, Disc, Distribution, brightness_number
 
 SUN_RADIUS = 0.2665  # [degree], the mean apparent radius of the sun
@@ -192,11 +193,7 @@ def sun_position(
             "Append Z for universal time, or +02:00.",
         )
     numbers = check_place("sun_position", latitude, longitude, altitude)
-    try:
-        import pandas
-        import pvlib
-    except ImportError as error:
-        raise lacking("sun_position", "pvlib", "sun", error) from error
+    pandas, pvlib = import_extra("sun_position", "pvlib", "sun", "pandas", "pvlib")
     position = pvlib.solarposition.get_solarposition(
         pandas.DatetimeIndex([when]), numbers[0], numbers[1], altitude=numbers[2]
     )
@@ -220,10 +217,7 @@ LOWEST, HIGHEST = -1000, 10_000  # [metre], altitudes of ground; chosen round th
 
 def check_place(what: str, *place: Any) -> list[float]:
     """Latitude, longitude and altitude as numbers; InputError for a place that is not on Earth."""
-    try:
-        numbers = [float(v) for v in place]
-    except (TypeError, ValueError, OverflowError):
-        numbers = [np.nan]
+    numbers = [number_or_nan(value) for value in place]
     on_earth = np.isfinite(numbers).all() and abs(numbers[0]) <= 90 and abs(numbers[1]) <= 360
     if not on_earth or not all(LOWEST <= altitude <= HIGHEST for altitude in numbers[2:]):
         allowed = (

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import real_array, whole_number
-from ..errors import InputError, bad, lacking
+from ..errors import InputError, bad, import_extra
 from .brightness import EnvironmentMap, directions_of
 from .cie import PARAMETERS, SUN_RADIUS, check_place, gradation, scattered
 from .integrals import COLS, ROWS
@@ -117,11 +117,7 @@ def sky_over_time(
     >>> irradiation = render(scene, Sky(year), quantity="irradiance").image   # kWh m^-2
     """
     place = check_place("sky_over_time", latitude, longitude, altitude)
-    try:
-        import pandas
-        import pvlib
-    except ImportError as error:
-        raise lacking("sky_over_time", "pvlib", "sun", error) from error
+    pandas, pvlib = import_extra("sky_over_time", "pvlib", "sun", "pandas", "pvlib")
     index = _index(times, pandas)
     step = _hours(index, hours)
     measured = _measured(dni, dhi, index, pandas.Timedelta(hours=float(step.max())))

@@ -119,23 +119,12 @@ def interpolate(
     a = (v - r * spread).astype(np.float32) / np.maximum(down, 1).astype(np.float32)
     part = ONE / np.maximum(to_right, 1).astype(np.float32)
     b = (u - q * spread).astype(np.float32) * part
-    corner = r * stride_across + q * stride_along
+    steps = np.array([0, stride_across, stride_along, stride_across + stride_along])
+    corners = r * stride_across + q * stride_along + steps[:, None, None]  # (4, across, along)
     for k, plane in enumerate(planes.reshape(count, rows, cols)):
-        corners = [
-            corner,
-            corner + stride_across,
-            corner + stride_along,
-            corner + stride_across + stride_along,
-        ]
-        whole = np.minimum.reduce([lines[0, k][at] for at in corners]) > HIGHEST_MASKED
-        slope, inverse = (
-            _between(
-                _between(line[corners[0]], line[corners[1]], a, whole),
-                _between(line[corners[2]], line[corners[3]], a, whole),
-                b,
-                whole,
-            )
-            for line in lines[:, k]
-        )
+        ends = lines[:, k][:, corners]  # of slopes, and of inverse distances
+        whole = ends[0].min(0) > HIGHEST_MASKED
+        left, right = (_between(ends[:, n], ends[:, n + 1], a, whole) for n in (0, 2))
+        slope, inverse = _between(left, right, b, whole)
         plane[...] = NONE
         plane[inner] = np.where(own > HIGHEST_MASKED, slope - own * inverse, NONE)

@@ -8,16 +8,20 @@ import numpy as np
 
 from ... import constants
 
-NONE, HIGHEST_MASKED = np.float32(constants.NONE), np.float32(constants.HIGHEST_MASKED)
+HIGHEST_MASKED = np.float32(constants.HIGHEST_MASKED)
 ONE, HALF = np.float32(1), np.float32(0.5)
+
+
+def _slope_between(low: np.ndarray, here: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """d depth/dx by the heights of nodes and of both neighbours, one-sided where one of these is masked."""
+    first, last = low <= HIGHEST_MASKED, high <= HIGHEST_MASKED
+    rise = np.where(first, here, low) - np.where(last, here, high)
+    return np.where(here > HIGHEST_MASKED, rise * np.where(first | last, ONE, HALF), np.float32(0))
 
 
 def _difference(z: np.ndarray) -> np.ndarray:
     """d depth/dx of padded heights: of nodes (rows, cols) with one more all around."""
-    here, low, high = z[1:-1, 1:-1], z[1:-1, :-2], z[1:-1, 2:]
-    first, last = low <= NONE, high <= NONE
-    rise = np.where(first, here, low) - np.where(last, here, high)
-    return np.where(here > NONE, rise * np.where(first | last, ONE, HALF), np.float32(0))
+    return _slope_between(z[1:-1, :-2], z[1:-1, 1:-1], z[1:-1, 2:])
 
 
 def tilt(

@@ -8,6 +8,7 @@ import numpy as np
 
 from ... import constants
 from ...constants import DARK, PERIODIC
+from .ground import _slope_between
 
 HIGHEST_MASKED = np.float32(constants.HIGHEST_MASKED)
 PI, HALF_PI, ENDLESS = (np.float32(v) for v in (constants.PI, constants.HALF_PI, constants.ENDLESS))
@@ -62,14 +63,6 @@ class _Layout(NamedTuple):
         return [heights[self.place(c + i, r + j)] for i, j in moves]
 
 
-def _tilt(low: np.ndarray, own: np.ndarray, high: np.ndarray) -> np.ndarray:
-    low_masked, high_masked = low <= HIGHEST_MASKED, high <= HIGHEST_MASKED
-    slope = (np.where(low_masked, own, low) - np.where(high_masked, own, high)) * np.where(
-        low_masked | high_masked, ONE, HALF
-    )
-    return np.where(own <= HIGHEST_MASKED, ZERO, slope)
-
-
 def _to_wall(at: np.ndarray, along: Any, count: int) -> np.ndarray:
     with np.errstate(divide="ignore"):
         way = np.where(along > 0, np.float32(count) - HALF - at, at + HALF)
@@ -93,7 +86,7 @@ class _Strips:
         self.heights, self.light = heights, light.reshape(lights, -1)
         self.layout, self.sides, self.c, self.y = layout, sides, c, y
         own, left, right, above, beneath = layout.around(heights, c, y)
-        self.gx, self.gy = _tilt(left, own, right), _tilt(above, own, beneath)
+        self.gx, self.gy = _slope_between(left, own, right), _slope_between(above, own, beneath)
         self.own = np.where(own > HIGHEST_MASKED, own, np.float32(highest))
         self.num, self.den = np.zeros((lights, len(c)), np.float32), np.zeros(len(c), np.float32)
 
@@ -491,7 +484,7 @@ class _Glossy:
         self.c, self.y, self.sums = c, y, np.zeros((len(light), len(c)), np.float32)
         self.own, left, right, above, beneath = layout.around(heights, c, y)
         # 1. the mirror direction, by sine and cosine of its elevation and azimuth
-        self.gx, self.gy = _tilt(left, self.own, right), _tilt(above, self.own, beneath)
+        self.gx, self.gy = _slope_between(left, self.own, right), _slope_between(above, self.own, beneath)
         self.square = ONE + self.gx * self.gx + self.gy * self.gy
         self.steep = np.sqrt(self.gx * self.gx + self.gy * self.gy)
         self.up, self.flat = 2 / self.square - ONE, 2 * self.steep / self.square

@@ -9,6 +9,7 @@ import numpy as np
 
 from ... import constants
 from ...constants import SLICES
+from .ground import _slope_between
 
 F = np.float32
 NONE, STEEP, ENDLESS = F(constants.NONE), F(constants.STEEP), F(constants.ENDLESS)
@@ -76,11 +77,6 @@ class Pixels(NamedTuple):
 
     def of(self, which: np.ndarray) -> Pixels:
         return Pixels._make((*(value[which] for value in self[:10]), self.radius))
-
-
-def _slope_between(low: np.ndarray, here: np.ndarray, high: np.ndarray) -> np.ndarray:
-    one_side = np.where(low > NONE, low - here, np.where(high > NONE, here - high, F(0)))
-    return np.where((low > NONE) & (high > NONE), (low - high) * F(0.5), one_side)
 
 
 def _pixels(heights: np.ndarray, rows: int, cols: int) -> Surface:
