@@ -18,17 +18,24 @@ typedef struct {
   int count, sides;
 } Links;
 
+/* Row p of J times v, but for its links. */
+float own_change_at(Links links, __global const float *v, int rows, int cols, int p)
+{
+  const int pixels = rows * cols, x = p % cols, y = p / cols;
+  float sum = links.light[pixels + p] * v[p];
+  if (cols > 1)
+    sum += links.light[2 * pixels + p] * rise_at(v + y * cols, x, cols, 1, links.sides);
+  if (rows > 1)
+    sum += links.light[3 * pixels + p] * rise_at(v + x, y, rows, cols, links.sides);
+  return sum;
+}
+
 /* Row p of J times v: by how much E changes there. */
 float change_at(Links links, __global const float *v, int rows, int cols, int p)
 {
-  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count, sides = links.sides;
-  float sum = links.light[pixels + p] * v[p];
-  if (cols > 1)
-    sum += links.light[2 * pixels + p] * rise_at(v + y * cols, x, cols, 1, sides);
-  if (rows > 1)
-    sum += links.light[3 * pixels + p] * rise_at(v + x, y, rows, cols, sides);
+  float sum = own_change_at(links, v, rows, cols, p);
   for (int k = 0; k < links.held[p]; ++k) {
-    const int e = link_at(p, k, count);
+    const int e = link_at(p, k, links.count);
     sum += links.near[e] * v[links.first[e]] + links.far[e] * v[links.second[e]];
   }
   return sum;
@@ -42,17 +49,17 @@ void add(__global long *sum, long value, int exclusive)
     atom_add(sum, value);
 }
 
-/* sum += row p of J times u, in whole numbers, so that no order of summation matters; its elements squared if
-   asked for. */
-void spread_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p,
-               int exclusive)
-{
-  const int pixels = rows * cols, x = p % cols, y = p / cols, count = links.count, sides = links.sides;
+/* sum += row p of J times u but for its links, in whole numbers, so that no order of summation matters; its
+   elements squared if asked for. */
 #define SPREAD(to, part)                                                                                     \
   {                                                                                                          \
     const float part_ = part;                                                                                \
     add(sum + (to), convert_long_rtz((squared ? part_ * part_ : part_) * u), exclusive);                     \
   }
+void spread_own_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p,
+                   int exclusive)
+{
+  const int pixels = rows * cols, x = p % cols, y = p / cols, sides = links.sides;
   SPREAD(p, links.light[pixels + p])
   if (cols > 1) {
     const float part = links.light[2 * pixels + p] * half_within(x, cols, sides);
@@ -64,8 +71,15 @@ void spread_at(Links links, __global long *sum, float u, int squared, int rows, 
     SPREAD(on_line(y + 1, rows, sides) * cols + x, part)
     SPREAD(on_line(y - 1, rows, sides) * cols + x, -part)
   }
+}
+
+/* The same with its links. */
+void spread_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p,
+               int exclusive)
+{
+  spread_own_at(links, sum, u, squared, rows, cols, p, exclusive);
   for (int k = 0; k < links.held[p]; ++k) {
-    const int e = link_at(p, k, count);
+    const int e = link_at(p, k, links.count);
     SPREAD(links.first[e], links.near[e])
     SPREAD(links.second[e], links.far[e])
   }
@@ -306,6 +320,47 @@ void product_at(Links links, __global const float *gain, __global const float *v
             exclusive);
 }
 
+#if LANES == 8
+/* change_at of nodes p to p + LANES - 1, p a multiple of LANES: link by link, since those of neighbours lie
+   side by side. */
+void changes_at(Links links, __global const float *v, int rows, int cols, int p, float *changes)
+{
+  const int begin = link_at(p, 0, links.count);
+  int held[LANES], most = 0;
+  for (int l = 0; l < LANES; ++l) {
+    changes[l] = own_change_at(links, v, rows, cols, p + l);
+    held[l] = links.held[p + l];
+    most = max(most, held[l]);
+  }
+  for (int k = 0; k < most; ++k)
+    for (int l = 0; l < LANES; ++l) {
+      const int e = begin + k * LINK_BLOCK + l;
+      if (k < held[l])
+        changes[l] += links.near[e] * v[links.first[e]] + links.far[e] * v[links.second[e]];
+    }
+}
+
+/* spread_at of the same nodes, each with its u, to a sum that no other work-item adds to. */
+void spread_all_at(Links links, __global long *sum, const float *u, int rows, int cols, int p)
+{
+  const int begin = link_at(p, 0, links.count);
+  int held[LANES], most = 0;
+  for (int l = 0; l < LANES; ++l) {
+    spread_own_at(links, sum, u[l], 0, rows, cols, p + l, 1);
+    held[l] = links.held[p + l];
+    most = max(most, held[l]);
+  }
+  for (int k = 0; k < most; ++k)
+    for (int l = 0; l < LANES; ++l) {
+      const int e = begin + k * LINK_BLOCK + l;
+      if (k < held[l]) {
+        sum[links.first[e]] += (long)(links.near[e] * u[l]);
+        sum[links.second[e]] += (long)(links.far[e] * u[l]);
+      }
+    }
+}
+#endif
+
 __kernel void product(__global const float *restrict light, __global const int *restrict held,
                       __global const int *restrict first, __global const int *restrict second,
                       __global const float *restrict near, __global const float *restrict far,
@@ -317,9 +372,22 @@ __kernel void product(__global const float *restrict light, __global const int *
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
-  if (state[LEFT] > 0)
-    for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p)
-      product_at(links, gain, v, sum + own, (float)state[SCATTERED], rows, cols, p, copies > 1);
+  if (state[LEFT] <= 0)
+    return;
+  const float quanta = state[SCATTERED];
+  int p = g * per_item;
+  const int end = min(rows * cols, p + per_item);
+#if LANES == 8
+  float u[LANES];
+  for (; copies > 1 && p + LANES <= end; p += LANES) {
+    changes_at(links, v, rows, cols, p, u);
+    for (int l = 0; l < LANES; ++l)
+      u[l] = gain[p + l] * gain[p + l] * u[l] * quanta;
+    spread_all_at(links, sum + own, u, rows, cols, p);
+  }
+#endif
+  for (; p < end; ++p)
+    product_at(links, gain, v, sum + own, quanta, rows, cols, p, copies > 1);
 }
 
 /* albedo_change: in (or added to) share, the part of the change of the pixels' albedo by v from one image:
@@ -334,10 +402,21 @@ __kernel void albedo_change(__global const float *restrict light, __global const
 {
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
-  if (state[LEFT] > 0)
-    for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p)
-      share[p] =
-          (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
+  if (state[LEFT] <= 0)
+    return;
+  int p = g * per_item;
+  const int end = min(rows * cols, p + per_item);
+#if LANES == 8
+  float changes[LANES];
+  for (; p + LANES <= end; p += LANES) {
+    changes_at(links, v, rows, cols, p, changes);
+    for (int l = 0; l < LANES; ++l)
+      share[p + l] = (is_first ? 0 : share[p + l]) + bare[p + l] * light[p + l] * (gain[p + l] * changes[l]);
+  }
+#endif
+  for (; p < end; ++p)
+    share[p] =
+        (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
 }
 
 /* reduced_product: as product, less what a change of the albedo makes up for. */
@@ -353,12 +432,27 @@ __kernel void reduced_product(__global const float *restrict light, __global con
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
-  if (state[LEFT] > 0)
-    for (int p = g * per_item; p < min(rows * cols, g * per_item + per_item); ++p) {
-      const float left =
-          gain[p] * change_at(links, v, rows, cols, p) - bare[p] * light[p] * (share[p] / under[p]);
-      spread_at(links, sum + own, gain[p] * left * (float)state[SCATTERED], 0, rows, cols, p, copies > 1);
+  if (state[LEFT] <= 0)
+    return;
+  const float quanta = state[SCATTERED];
+  int p = g * per_item;
+  const int end = min(rows * cols, p + per_item);
+#if LANES == 8
+  float u[LANES];
+  for (; copies > 1 && p + LANES <= end; p += LANES) {
+    changes_at(links, v, rows, cols, p, u);
+    for (int l = 0; l < LANES; ++l) {
+      const int q = p + l;
+      u[l] = gain[q] * (gain[q] * u[l] - bare[q] * light[q] * (share[q] / under[q])) * quanta;
     }
+    spread_all_at(links, sum + own, u, rows, cols, p);
+  }
+#endif
+  for (; p < end; ++p) {
+    const float left =
+        gain[p] * change_at(links, v, rows, cols, p) - bare[p] * light[p] * (share[p] / under[p]);
+    spread_at(links, sum + own, gain[p] * left * quanta, 0, rows, cols, p, copies > 1);
+  }
 }
 
 /* normal_product: w = free (sum quantum + lambda unbend v + damping scale v), the normal equations' matrix

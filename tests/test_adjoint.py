@@ -902,9 +902,9 @@ def test_one_kernel_solves_as_many_do(fast, monkeypatch):
     """
     shape, found = (33, 35), []
     start, target = ground(shape, 3, 0.4), 0.3 + 0.1 * ground(shape, 5, 0.1)
-    for alone, ahead in ((0, 1), (0, 7), (8192, 1)):
+    for alone, ahead in ((0, 1), (0, 7), (2**30, 1)):
         made = problem(fast, sl.Sky(), shape, "dark", 0.3, target)
-        monkeypatch.setattr(made.backend, "single_item_nodes", alone, raising=False)
+        monkeypatch.setattr(made.backend, "single_item_links", alone, raising=False)
         monkeypatch.setattr(made.backend, "iterations_ahead", ahead, raising=False)
         found.append(made.run(start, 1e-3, 3, 41, 1e-3))
     for z, value in found[1:]:

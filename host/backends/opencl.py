@@ -121,7 +121,7 @@ class OpenclBackend(Backend):
         )
         self.most_array_bytes = self._device.max_mem_alloc_size
         self.partial_sums = min(CPU_PARTIAL_SUMS, 2 * self._device.max_compute_units) if self.on_cpu else 1
-        self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = (
+        self.single_item_links, self.nodes_per_item, self.iterations_ahead = (
             CPU_LOOPS if self.on_cpu else GPU_LOOPS
         )
         self._pool: Any = None

@@ -107,7 +107,7 @@ class WarpBackend(Backend):
         self.lines = GPU_LINES if cuda else 1
         self.pixel_lanes = GPU_PIXELS
         self.shares = not cuda
-        self.single_item_nodes, self.nodes_per_item, self.iterations_ahead = GPU_LOOPS if cuda else CPU_LOOPS
+        self.single_item_links, self.nodes_per_item, self.iterations_ahead = GPU_LOOPS if cuda else CPU_LOOPS
         if cuda and self.wp.is_mempool_enabled(self._device):
             usual = self.wp.get_mempool_release_threshold(self._device)
             held = max(usual, min(MOST_HELD, self._device.total_memory // 8))

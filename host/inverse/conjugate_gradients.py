@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..constants import COARSENING, GAIN, LEFT, STATE, SUM_SLOTS
+from ..constants import COARSENING, GAIN, LEFT, LINK_BLOCK, STATE, SUM_SLOTS
 from .albedo import AlbedoFit
 from .forward import DeviceArray, Image, Launcher
 
@@ -64,9 +64,8 @@ class ConjugateGradients:
             for shape, dtype in (((STATE,), np.float64), ((3, SUM_SLOTS), np.int64))
         ]
         # nodes of a work-item that scatters, and work-items
-        self.scattered = (
-            launcher.nodes_per_item if launcher.partial_sums == 1 else -(-pixels // launcher.partial_sums)
-        )
+        blocks = -(-pixels // (LINK_BLOCK * launcher.partial_sums))
+        self.scattered = launcher.nodes_per_item if launcher.partial_sums == 1 else LINK_BLOCK * blocks
         self.scatterers = (-(-pixels // self.scattered),)
 
     def gradient(self, side: int, misfit: float, smoothness: float) -> tuple[float, float]:
@@ -106,7 +105,8 @@ class ConjugateGradients:
             *(state, self.totals[0], square, product, smoothness, damping, tolerance**2, FIXED, EXACT, most),
             dim=(1,),
         )
-        if len(self.images) == 1 and self.pixels <= self.backend.single_item_nodes:
+        room = self.pixels * self.images[0].count
+        if len(self.images) == 1 and room <= self.backend.single_item_links:
             return self._solve_by_one(side, state)
         left, gain = float(most), 0.0
         while left > 0:
