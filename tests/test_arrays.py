@@ -794,7 +794,7 @@ STAYS = {
     ),
     "lamp within tolerance": lambda s, b: (
         sl.render(
-            s, sl.Lamp(center=(40, 40, -4), radius=9), tolerance=0.03, interreflection=False, backend=b
+            s, sl.Lamp(center=(40, 40, -20), radius=9), tolerance=0.01, interreflection=False, backend=b
         ).image
     ),
     "window within tolerance": lambda s, b: (
@@ -809,13 +809,7 @@ STAYS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name == "lamp within tolerance" else name
-        for name in STAYS
-    ],
-)
+@pytest.mark.parametrize("name", STAYS)
 @pytest.mark.parametrize("masked", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_maps_and_images_stay_on_a_gpu(name, masked):
     """The same numbers as from the host; CUDA libraries find the image where it lies."""

@@ -181,6 +181,7 @@ def test_colours(fast):
         np.testing.assert_allclose(lit[..., n], brightness * one, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_albedo_maps(fast):
     """Dark ground sends little: the oracle's light with an albedo of every node."""
     albedo = np.where(np.arange(SIZE) < SIZE // 2, 0.1, 0.9) * np.ones((SIZE, 1))

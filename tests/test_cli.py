@@ -314,6 +314,7 @@ def test_recover_leaves_out_what_a_mask_says(here, fast, capsys):
     assert code == 3 and "wide.npy: wrong shape: got (3, 3)" in err
 
 
+@pytest.mark.slow
 def test_recover_writes_a_picture(here, fast, capsys):
     """A picture of image, relief, confidence and residual; an .npz holds what it was made of."""
     code, out, err = run(

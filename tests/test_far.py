@@ -202,6 +202,7 @@ def test_far_horizons_pass_over_gaps(backend):
             assert np.abs(found[known] - expected[known]).max() < 2e-5
 
 
+@pytest.mark.slow
 def test_far_horizons_go_round_a_map_that_repeats(backend):
     """Up to the farthest distance, over several laps; the map's sides are whole cells."""
     engine, heights = select(backend), ridges(64, 96)
@@ -212,6 +213,7 @@ def test_far_horizons_go_round_a_map_that_repeats(backend):
     _same(found, truth[:, :16, 80:96])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drop", [2e-3, -0.05])
 def test_round_earth_and_farthest_ground(backend, drop):
     """drop and farthest change slopes as the oracle says, also where the map is upside down."""

@@ -232,6 +232,7 @@ def test_a_lamp_in_coordinates_of_the_reference_system(tmp_path, capsys, fast, l
     assert run("render", path, tmp_path / "a.tif", "--lamp", "195,120,-90,3", "--backend", fast) == 0
 
 
+@pytest.mark.slow
 def test_warnings_of_a_command_are_one_line(tmp_path):
     """Without the place in the code that gives them."""
     path = make(tmp_path / "dem.tif", crs="EPSG:3857", transform=from_origin(4e5, 5.9e6, 25, 25))
@@ -411,6 +412,7 @@ def test_units(tmp_path):
     assert not raster.mask[3, 4] and raster.mask.sum() == HEIGHT.size - 2
 
 
+@pytest.mark.slow
 def test_recover_keeps_spacing_and_georeference(tmp_path, fast):
     """Of an image that is a GeoTIFF: depth and std lie where it does; cells without data do not count."""
     rng = np.random.default_rng(2)

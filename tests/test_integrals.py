@@ -445,6 +445,7 @@ def test_a_faint_sky_with_a_disc_scales(fast):
         np.testing.assert_allclose(other.image / np.float64(1e-30), one.image.astype(float), rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [32, 128, 256])
 def test_small_lights_of_a_map_have_their_power_and_extent(rows):
     """A bright pixel, which interpolation makes a tent two pixels wide; shadows and windows cut it."""
@@ -490,6 +491,7 @@ def test_a_light_in_the_zenith_of_a_map(rows):
         assert Integrals(sl.Sky(sl.environment_map(image)), tolerance).level == pytest.approx(level, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_integrals_are_kept_with_what_they_are_of(monkeypatch):
     """Of maps and functions, once per object: another value anywhere, another object, and nothing is kept of
     objects that are gone, nor of more than a bounded size."""

@@ -162,6 +162,7 @@ def test_rows_along_x_are_refused(dem):
         sl.Scene.from_height(dem.transpose("x", "y"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuths", [5, sl.Azimuths(3, (0.0, np.pi / 6, np.pi / 2, 2 * np.pi))])
 def test_sectors_lie_the_same_way_in_each_order(dem, fast, azimuths):
     """An odd number of azimuths, or uneven ones, of a method that is asked for, whole and in tiles."""

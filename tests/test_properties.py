@@ -43,6 +43,7 @@ def test_raising_an_occluder_never_reveals_another_node(backend, depth, sides, f
     assert not (after & ~before).any()
 
 
+@pytest.mark.slow
 @given(
     depth=REAL,
     sides=SIDES,

@@ -136,6 +136,7 @@ def test_a_mosaic_takes_every_place_from_the_surface_that_fits_there(fast, monke
     assert rms((joined - depth)[:, away]) < 0.1 and rms(joined - depth) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, kind", [("egg-crate", "sky"), ("face", "sky")])
 def test_relief_that_is_wrong_in_one_place_is_mirrored(fast, name, kind):
     """Round the strongest relief a peak is taken for a pit. From there the same solver does not return, but
@@ -279,6 +280,7 @@ def test_what_confidence_says_of_a_std():
     np.testing.assert_array_equal(confidence_of(std / 2, 10.0), confidence_of(std, 128.0))
 
 
+@pytest.mark.slow
 def test_noise_makes_the_std_larger_and_a_second_image_smaller(fast):
     """3 % of noise; a lamp with as much noise beside the sky."""
     kinds, noise = ("sky", "lamp"), 0.03 * np.random.default_rng(2).normal(size=(2, SIZE, SIZE))
@@ -824,6 +826,7 @@ def wavy():
     return lights, [sl.render(scene, light, **options).image for light in lights]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change, layers, told",
     [
@@ -876,6 +879,7 @@ def _in_a_box(name, gap):
 MASKED = dict(albedo=ALBEDO, sides="dark", layers=32, interreflection=False)
 
 
+@pytest.mark.slow
 def test_what_does_not_count_changes_nothing(fast):
     """Whatever the pixels of a gap hold, the answer has the same bytes; a highlight there does no harm."""
     depth, image, mask = _in_a_box("bumps", (12, 20, 4))
@@ -974,6 +978,7 @@ def test_noise_is_seen_between_dead_pixels():
     assert noise_of(image, np.indices(image.shape).sum(0) % 2 > 0) == 0
 
 
+@pytest.mark.slow
 def test_gaps_of_a_dataarray_do_not_count(fast):
     xarray = pytest.importorskip("xarray")
     _, image, mask = _in_a_box("bumps", (12, 20, 4))
@@ -1309,6 +1314,7 @@ def test_a_carving_has_no_light_between_surfaces():
         sl.recover(np.ones((4, 4)), sl.Sky(), interreflection="yes", backend="numpy")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sides", "brightness"), [("open", 0.5), ("periodic", sl.cie_overcast())])
 def test_relief_under_an_even_sky_without_walls(fast, sides, brightness):
     """A flat surface, where the search begins, is a stationary point of such images: it must be left, and the
@@ -1387,6 +1393,7 @@ def test_images_of_one_light_count_as_one(fast):
     assert any("images 1 and 2 are of the same light" in text and "1.2 times" in text for text in told)
 
 
+@pytest.mark.slow
 def test_what_is_said_of_several_images_does_not_depend_on_their_order(fast):
     """std, other depths and their mark; of an image that the other contradicts, too."""
     y, x = np.mgrid[:16, :16]
@@ -1403,6 +1410,7 @@ def test_what_is_said_of_several_images_does_not_depend_on_their_order(fast):
     assert np.mean(np.isfinite(one.candidates) == np.isfinite(other.candidates)) > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interreflection", [False, True])
 def test_progress_goes_up_to_its_end(fast, interreflection):
     steps = []

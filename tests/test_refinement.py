@@ -677,6 +677,7 @@ def test_what_is_hidden_of_a_small_lamp_is_not_of_its_mean_brightness(fast):
     assert off <= 0.003 and not out.warnings, (off, out.plan.steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [3e-4, 1e-4, 2e-5])
 @pytest.mark.parametrize("height", [1.0, 1e-22])
 def test_a_spot_between_the_probes_of_a_brightness(fast, width, height):
@@ -698,6 +699,7 @@ def test_ground_behind_a_tilted_panel_does_not_hide_it(backend, wall):
     assert not out.warnings and out.plan.azimuths <= 128
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("brightness", [1.0, sl.cosine_power(3, (0.2, 0.1, 1))], ids=["even", "spot"])
 @pytest.mark.parametrize("options", [{}, {"method": "horizon"}], ids=["auto", "horizon"])
 def test_lamps_too_small_for_float32(backend, brightness, options):
@@ -1301,6 +1303,7 @@ def test_sources_in_colour_are_planned(fast, source, first):
 PIERCED = sl.Window(aperture=np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sides", "source", "diffuse", "said"),
     [
@@ -1466,6 +1469,7 @@ def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("depth", "source", "says"),
     [

@@ -925,6 +925,7 @@ def test_a_lobe_over_a_map_that_repeats_keeps_no_tolerance(fast):
     assert not any("Tolerance" in text for text in asked.warnings)
 
 
+@pytest.mark.slow
 def test_light_that_the_rays_of_a_brdf_miss_is_told(fast):
     """A sun of 4 degrees: the warning has the error, by a surface that is known; a broad light has none."""
     matte = sl.BRDF(lambda i, o: np.full(i.shape[:-1], 0.6 / np.pi))
@@ -997,6 +998,7 @@ def test_lobes_of_uneven_skies_are_refined(fast):
     assert np.abs(off).max() < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sky", "window"])
 def test_lobes_of_even_sources_are_refined(fast, kind):
     """Edges of rough ground fall between slices: 2.2 % off under a sky at any tolerance, 1.3 by a window."""
@@ -1025,6 +1027,7 @@ def test_a_lobe_in_colour_is_refined_as_its_grey_renders(fast):
         assert_bits_equal(np.ascontiguousarray(image[..., n]), alone)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [100, 600])
 @pytest.mark.parametrize("degrees", [8, 25])
 def test_bright_patches_that_are_wider_than_a_lobe(fast, exponent, degrees):
@@ -1074,6 +1077,7 @@ def test_a_lobe_that_cannot_be_refined_is_told(fast):
     assert any("specular lobe" in warning for warning in out.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surface", [sl.Phong(0.3, 0.4, 20.0), sl.Mirror(0.3, 0.4)], ids=["lobe", "mirror"])
 def test_a_sun_behind_an_aperture_in_lobes_and_mirrors(fast, surface):
     """All open and next to the ground, as the sky itself: the sun was lost between the lattice's directions,
