@@ -162,8 +162,8 @@ __kernel void bending(__global const float *z, __global const float *rest, __glo
 /* gradient: sum += quanta transpose(J) gain (gain E - target), and squares += fine x the diagonal of
    transpose(J) gain^2 J, or what it is where no two links of a node lead to the same one. Sums are in fixed
    point: `quanta` is how many integers make 1, `quantum` the value of one. Work-item g of this and of all
-   below owns `per_item` nodes; if there is more than one copy of the sums, it adds to a copy of
-   its own: sum and squares (copies, pixels). */
+   below owns `per_item` nodes, a multiple of LANES; if there is more than one copy of the sums, it adds to a
+   copy of its own: sum and squares (copies, pixels). */
 __kernel void gradient(__global const float *restrict light, __global const int *restrict held,
                        __global const int *restrict first, __global const int *restrict second,
                        __global const float *restrict near, __global const float *restrict far,
@@ -320,16 +320,16 @@ void product_at(Links links, __global const float *gain, __global const float *v
             exclusive);
 }
 
-#if LANES == 8
-/* change_at of nodes p to p + LANES - 1, p a multiple of LANES: link by link, since those of neighbours lie
-   side by side. */
-void changes_at(Links links, __global const float *v, int rows, int cols, int p, float *changes)
+/* change_at of nodes p to p + LANES - 1, less those from `end` on; p is a multiple of LANES. Link by link, since
+   those of neighbours lie side by side. */
+void changes_at(Links links, __global const float *v, int rows, int cols, int p, int end, float *changes)
 {
   const int begin = link_at(p, 0, links.count);
   int held[LANES], most = 0;
   for (int l = 0; l < LANES; ++l) {
-    changes[l] = own_change_at(links, v, rows, cols, p + l);
-    held[l] = links.held[p + l];
+    const int there = p + l < end;
+    changes[l] = there ? own_change_at(links, v, rows, cols, p + l) : 0;
+    held[l] = there ? links.held[p + l] : 0;
     most = max(most, held[l]);
   }
   for (int k = 0; k < most; ++k)
@@ -340,26 +340,28 @@ void changes_at(Links links, __global const float *v, int rows, int cols, int p,
     }
 }
 
-/* spread_at of the same nodes, each with its u, to a sum that no other work-item adds to. */
-void spread_all_at(Links links, __global long *sum, const float *u, int rows, int cols, int p)
+/* spread_at of the same nodes, each with its u. */
+void spread_all_at(Links links, __global long *sum, const float *u, int rows, int cols, int p, int end,
+                   int exclusive)
 {
   const int begin = link_at(p, 0, links.count);
   int held[LANES], most = 0;
   for (int l = 0; l < LANES; ++l) {
-    spread_own_at(links, sum, u[l], 0, rows, cols, p + l, 1);
-    held[l] = links.held[p + l];
+    const int there = p + l < end;
+    if (there)
+      spread_own_at(links, sum, u[l], 0, rows, cols, p + l, exclusive);
+    held[l] = there ? links.held[p + l] : 0;
     most = max(most, held[l]);
   }
   for (int k = 0; k < most; ++k)
     for (int l = 0; l < LANES; ++l) {
       const int e = begin + k * LINK_BLOCK + l;
       if (k < held[l]) {
-        sum[links.first[e]] += (long)(links.near[e] * u[l]);
-        sum[links.second[e]] += (long)(links.far[e] * u[l]);
+        add(sum + links.first[e], (long)(links.near[e] * u[l]), exclusive);
+        add(sum + links.second[e], (long)(links.far[e] * u[l]), exclusive);
       }
     }
 }
-#endif
 
 __kernel void product(__global const float *restrict light, __global const int *restrict held,
                       __global const int *restrict first, __global const int *restrict second,
@@ -372,22 +374,15 @@ __kernel void product(__global const float *restrict light, __global const int *
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
-  if (state[LEFT] <= 0)
-    return;
+  const int end = state[LEFT] > 0 ? min(rows * cols, g * per_item + per_item) : 0;
   const float quanta = state[SCATTERED];
-  int p = g * per_item;
-  const int end = min(rows * cols, p + per_item);
-#if LANES == 8
   float u[LANES];
-  for (; copies > 1 && p + LANES <= end; p += LANES) {
-    changes_at(links, v, rows, cols, p, u);
-    for (int l = 0; l < LANES; ++l)
-      u[l] = gain[p + l] * gain[p + l] * u[l] * quanta;
-    spread_all_at(links, sum + own, u, rows, cols, p);
+  for (int p = g * per_item; p < end; p += LANES) {
+    changes_at(links, v, rows, cols, p, end, u);
+    for (int q = p; q < min(p + LANES, end); ++q)
+      u[q - p] = gain[q] * gain[q] * u[q - p] * quanta;
+    spread_all_at(links, sum + own, u, rows, cols, p, end, copies > 1);
   }
-#endif
-  for (; p < end; ++p)
-    product_at(links, gain, v, sum + own, quanta, rows, cols, p, copies > 1);
 }
 
 /* albedo_change: in (or added to) share, the part of the change of the pixels' albedo by v from one image:
@@ -402,21 +397,13 @@ __kernel void albedo_change(__global const float *restrict light, __global const
 {
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
-  if (state[LEFT] <= 0)
-    return;
-  int p = g * per_item;
-  const int end = min(rows * cols, p + per_item);
-#if LANES == 8
+  const int end = state[LEFT] > 0 ? min(rows * cols, g * per_item + per_item) : 0;
   float changes[LANES];
-  for (; p + LANES <= end; p += LANES) {
-    changes_at(links, v, rows, cols, p, changes);
-    for (int l = 0; l < LANES; ++l)
-      share[p + l] = (is_first ? 0 : share[p + l]) + bare[p + l] * light[p + l] * (gain[p + l] * changes[l]);
+  for (int p = g * per_item; p < end; p += LANES) {
+    changes_at(links, v, rows, cols, p, end, changes);
+    for (int q = p; q < min(p + LANES, end); ++q)
+      share[q] = (is_first ? 0 : share[q]) + bare[q] * light[q] * (gain[q] * changes[q - p]);
   }
-#endif
-  for (; p < end; ++p)
-    share[p] =
-        (is_first ? 0 : share[p]) + bare[p] * light[p] * (gain[p] * change_at(links, v, rows, cols, p));
 }
 
 /* reduced_product: as product, less what a change of the albedo makes up for. */
@@ -432,26 +419,16 @@ __kernel void reduced_product(__global const float *restrict light, __global con
   const Links links = {light, held, first, second, near, far, count, sides};
   const int g = get_global_id(0);
   const size_t own = copies > 1 ? (size_t)g * rows * cols : 0;
-  if (state[LEFT] <= 0)
-    return;
+  const int end = state[LEFT] > 0 ? min(rows * cols, g * per_item + per_item) : 0;
   const float quanta = state[SCATTERED];
-  int p = g * per_item;
-  const int end = min(rows * cols, p + per_item);
-#if LANES == 8
   float u[LANES];
-  for (; copies > 1 && p + LANES <= end; p += LANES) {
-    changes_at(links, v, rows, cols, p, u);
-    for (int l = 0; l < LANES; ++l) {
-      const int q = p + l;
-      u[l] = gain[q] * (gain[q] * u[l] - bare[q] * light[q] * (share[q] / under[q])) * quanta;
+  for (int p = g * per_item; p < end; p += LANES) {
+    changes_at(links, v, rows, cols, p, end, u);
+    for (int q = p; q < min(p + LANES, end); ++q) {
+      const float left = gain[q] * u[q - p] - bare[q] * light[q] * (share[q] / under[q]);
+      u[q - p] = gain[q] * left * quanta;
     }
-    spread_all_at(links, sum + own, u, rows, cols, p);
-  }
-#endif
-  for (; p < end; ++p) {
-    const float left =
-        gain[p] * change_at(links, v, rows, cols, p) - bare[p] * light[p] * (share[p] / under[p]);
-    spread_at(links, sum + own, gain[p] * left * quanta, 0, rows, cols, p, copies > 1);
+    spread_all_at(links, sum + own, u, rows, cols, p, end, copies > 1);
   }
 }
 
