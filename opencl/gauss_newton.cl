@@ -320,8 +320,8 @@ void product_at(Links links, __global const float *gain, __global const float *v
             exclusive);
 }
 
-/* change_at of nodes p to p + LANES - 1, less those from `end` on; p is a multiple of LANES. Link by link, since
-   those of neighbours lie side by side. */
+/* change_at of nodes p to p + LANES - 1, less those from `end` on; p is a multiple of LANES. Link by link,
+   since those of neighbours lie side by side. */
 void changes_at(Links links, __global const float *v, int rows, int cols, int p, int end, float *changes)
 {
   const int begin = link_at(p, 0, links.count);
