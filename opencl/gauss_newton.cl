@@ -49,13 +49,15 @@ void add(__global long *sum, long value, int exclusive)
     atom_add(sum, value);
 }
 
-/* sum += row p of J times u but for its links, in whole numbers, so that no order of summation matters; its
-   elements squared if asked for. */
+/* sum += an element of J times u. */
 #define SPREAD(to, part)                                                                                     \
   {                                                                                                          \
     const float part_ = part;                                                                                \
     add(sum + (to), convert_long_rtz((squared ? part_ * part_ : part_) * u), exclusive);                     \
   }
+
+/* sum += row p of J times u but for its links, in whole numbers, so that no order of summation matters; its
+   elements squared if asked for. */
 void spread_own_at(Links links, __global long *sum, float u, int squared, int rows, int cols, int p,
                    int exclusive)
 {
@@ -312,14 +314,6 @@ __kernel void inner_products(__global const float *r, __global const float *v, _
    the quadratic model has gained; and what was asked for: lambda, damping, share of the first r v at which to
    stop. Two of them take turns, and so do the totals (3, SUM_SLOTS) of r v, v w and v v. */
 
-/* product: sum += quanta transpose(J) gain^2 J v. */
-void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum,
-                float quanta, int rows, int cols, int p, int exclusive)
-{
-  spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * quanta, 0, rows, cols, p,
-            exclusive);
-}
-
 /* change_at of nodes p to p + LANES - 1, less those from `end` on; p is a multiple of LANES. Link by link,
    since those of neighbours lie side by side. */
 void changes_at(Links links, __global const float *v, int rows, int cols, int p, int end, float *changes)
@@ -363,6 +357,7 @@ void spread_all_at(Links links, __global long *sum, const float *u, int rows, in
     }
 }
 
+/* product: sum += quanta transpose(J) gain^2 J v. */
 __kernel void product(__global const float *restrict light, __global const int *restrict held,
                       __global const int *restrict first, __global const int *restrict second,
                       __global const float *restrict near, __global const float *restrict far,
@@ -648,6 +643,13 @@ long3 normal_product_of_lanes(__global const float *r, __global const float *v, 
 }
 #endif
 
+/* product for node p, of a sum that no other work-item adds to. */
+void product_at(Links links, __global const float *gain, __global const float *v, __global long *sum,
+                float quanta, int rows, int cols, int p)
+{
+  spread_at(links, sum, gain[p] * gain[p] * change_at(links, v, rows, cols, p) * quanta, 0, rows, cols, p, 1);
+}
+
 void products(Links links, __global const float *gain, __global const float *v, __global long *sum,
               float quanta, int rows, int cols)
 {
@@ -662,7 +664,7 @@ void products(Links links, __global const float *gain, __global const float *v, 
         continue;
       }
 #endif
-      product_at(links, gain, v, sum, quanta, rows, cols, p, 1);
+      product_at(links, gain, v, sum, quanta, rows, cols, p);
       ++x;
     }
   }

@@ -59,7 +59,7 @@ first. On a GPU the LINES work-items of a group keep the rows about them in loca
 #define TILED (!ON_CPU && !BLOCKS && SIDES != PERIODIC && TILE_SIZE <= MOST_TILE)
 #define LIT (WHAT == UNIFORM || WHAT == TABLE)
 #define RUNGS ((1 + FALLS) * LADDER)
-#define ROWS_AHEAD 4            /* 2 and 10 are as good */
+#define ROWS_AHEAD 4            /* rows to the one that is fetched; 3, 6 and 10 are as good */
 #define ACROSS (LANES * STRIPS) /* strips of LANES lines side by side, for the sake of cache lines */
 #define NEAR_COLUMNS (NEAR - 1) /* the last one within NEAR rows lies on a row */
 
@@ -305,9 +305,10 @@ __kernel void sweep(__global const float *restrict heights, __global const float
     }
 #endif
 
-#ifdef PREFETCH
-    const int later = towards > 0 ? u + ROWS_AHEAD : rows - 1 - u - ROWS_AHEAD,
-              later_x = line + (int)floor(0.5f - shear * (u + ROWS_AHEAD)),
+#if defined(PREFETCH) && SIDES != PERIODIC
+    const int u_later = u + (BLOCKS && backward ? -ROWS_AHEAD : ROWS_AHEAD),
+              later = towards > 0 ? u_later : rows - 1 - u_later,
+              later_x = line + (int)floor(0.5f - shear * u_later),
               later_at = (later + margin) * stride + margin + later_x;
     for (int q = 0; q < STRIPS; q += 2) { /* a cache line has two vectors */
       PREFETCH(heights + later_at + LANES * q);

@@ -28,8 +28,8 @@ from ..errors import CapacityError, OutOfTimeError
 from ..locks import give_lock
 
 # how a device takes loops over nodes and iterations: single_item_links, nodes_per_item, iterations_ahead.
-# 2^18 links: recover(), PoCL on two cores, one image of direct light up to 90 x 90 takes 1.7 times as long
-# without, and of light between surfaces from 48 x 48 on 1.35 times as long if all images are below it
+# 2^18 links: with 0, recover() of one image of direct light, up to 90 x 90 nodes, takes 1.7 times as long (on
+# PoCL, two cores); with 2^30, that of light between surfaces from 48 x 48 nodes on takes 1.35 times as long
 CPU_LOOPS, GPU_LOOPS = (2**18, 64, 1), (0, 1, 8)
 DEFAULT_GROUP = 256  # work-items of a group of any kernel but scan, at most
 
