@@ -10,17 +10,7 @@ from skylamp import oracle
 from skylamp.backends import select
 from skylamp.errors import InputError
 from skylamp.light import far as fields
-from skylamp.light.far import (
-    TOWARDS_MAXIMUM,
-    Far,
-    Tiling,
-    around,
-    coarser,
-    from_heights,
-    in_spacings,
-    scaled,
-    top_of,
-)
+from skylamp.light.far import TOWARDS_MAXIMUM, Far, Tiling, around, coarser, from_heights, scaled, top_of
 from skylamp.light.sweeps import Rays, Sweeps, ground_of
 from skylamp.scene import Scene
 
@@ -62,7 +52,7 @@ def far_of(heights, tiling, at, tile, periodic=False, farthest=math.inf, drop=0.
     nodes = fields.marched_nodes(tiling.spread, heights.shape, at, tile)
     marched = own[np.ix_(*(lines - first + room for lines, first, room in zip(nodes, at, before)))]
     marched = np.where(np.isneginf(marched), own[np.isfinite(own)].min(initial=0), marched)
-    levels = in_spacings(levels, base, 1.0)
+    levels = [level._replace(heights=scaled(level.heights, base, 1.0)) for level in levels]
     return own, Far(
         tiling, heights.shape, at, tile, before, tiling.spread, marched, levels, farthest, periodic, drop
     )
@@ -326,3 +316,8 @@ def test_only_the_tile_is_lit(fast, what, reach):
         if what == "light":
             assert np.count_nonzero(found[0]) < np.count_nonzero(found[1])
             assert found[0][box].all()
+
+
+def test_a_tiling_by_numpy_integers_is_that_by_python_s():
+    tiling = Tiling(*(np.int64(nodes) for nodes in (1024, 128, 32)))
+    assert repr(tiling) == repr(Tiling(1024, 128, 32)) and tiling.top == Tiling(1024, 128, 32).top

@@ -127,7 +127,7 @@ def test_a_mosaic_takes_every_place_from_the_surface_that_fits_there(fast, monke
     """
     depth, image = pair("egg-crate", "lamp")
     west = np.arange(SMALL) < SMALL // 2
-    work = search.Search(Multigrid(_pyramid(fast, image, "lamp")), False)
+    work = search.Search(Multigrid(_pyramid(fast, image, "lamp")))
     work.level = 0
     work.answers = [Solution(depth + np.where(here, 2.0, 0.0), np.inf) for here in (west, ~west)]
     monkeypatch.setattr(work.multigrid, "relax", lambda level, z, *how: Solution(z, 0.0))
@@ -147,7 +147,7 @@ def test_relief_that_is_wrong_in_one_place_is_mirrored(fast, name, kind):
     row, col = np.unravel_index(np.argmax(np.abs(middle - depth)[4:-4, 4:-4]), (SMALL - 8, SMALL - 8))
     y, x = np.mgrid[:SMALL, :SMALL]
     there = np.exp(-((y - row - 4) ** 2 + (x - col - 4) ** 2) / (2 * 3.5**2))
-    work = search.Search(Multigrid(_pyramid(fast, image, kind)), False)
+    work = search.Search(Multigrid(_pyramid(fast, image, kind)))
     work.level = 0
     wrong = work.multigrid.settle(0, depth + 2 * there * (middle - depth))
     wrong = work.multigrid.settle(0, wrong.depth)
@@ -1296,7 +1296,7 @@ def test_a_finer_model_puts_the_model_right_but_no_noise(fast):
     noisy = image + 0.03 * image.max() * np.random.default_rng(2).normal(size=image.shape)
     for values, share in ((image, (0.99, 1)), (np.maximum(noisy, 0), (0, 0.05))):
         pyramid = _pyramid(fast, values, "sky")
-        work = search.Search(Multigrid(pyramid), False)
+        work = search.Search(Multigrid(pyramid))
         work.run()
         _, z = pyramid.best
         refit = refit_of(pyramid, 0, z)
@@ -1505,7 +1505,7 @@ def test_even_light_is_told_from_directed_light(fast, brightness, even):
     image = 0.3 + 0.05 * np.sin(x) * np.sin(y + 1) + 0.02 * np.cos(2 * x + y)
     sky = sl.Sky(brightness)
     bounds = np.full(image.shape, 1e-3), np.full(image.shape, 24.0)
-    work = search.Search(Multigrid(Pyramid(select(fast), [image], [sky], 0.5, "open", *bounds)), False)
+    work = search.Search(Multigrid(Pyramid(select(fast), [image], [sky], 0.5, "open", *bounds)))
     search.start_flat(work)
     assert work.even == even and work.share == 0.5
 

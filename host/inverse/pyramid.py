@@ -10,7 +10,6 @@ import copy
 import functools
 import logging
 import math
-import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -51,7 +50,7 @@ CROSS_NORM = 6  # root of the sum of squares of the cross of second differences
 
 class Level(NamedTuple):
     """The result on one grid: its shape, the rms of model - image as a share of the image's, and the
-    seconds since the start.
+    seconds since the start, without compiling.
     """
 
     shape: tuple[int, ...]
@@ -103,11 +102,15 @@ class Pyramid:
     images (rows, cols) radiance; albedo a number or (rows, cols), or None: to be found; near, far (rows,
     cols) bounds; interreflection: whether ground lights ground; known (rows, cols) of every image: the pixels
     to explain, all if None. ``stop``: asked after every step whether to end; ``report``: called with every
-    level that was reached.
+    level that was reached; ``spent``: gives the seconds since the start.
 
     Of every grid: seen, the images; weights, the share of each of their pixels that is known; images, what is
     explained, seen times weights.
     """
+
+    stop: Callable[[], bool] = staticmethod(lambda: False)
+    report: Callable[[Level], None] = staticmethod(lambda level: None)
+    spent: Callable[[], float] = staticmethod(lambda: 0.0)
 
     def __init__(
         self,
@@ -119,12 +122,10 @@ class Pyramid:
         near: np.ndarray,
         far: np.ndarray,
         interreflection: bool = False,
-        stop: Callable[[], bool] = lambda: False,
-        report: Callable[[Level], None] = lambda level: None,
         known: list[np.ndarray] | None = None,
     ):
-        self.engine, self.sources, self.sides, self.stop, self.report = engine, lights, sides, stop, report
-        self.began, self.interreflection = time.perf_counter(), interreflection
+        self.engine, self.sources, self.sides = engine, lights, sides
+        self.interreflection = interreflection
         weights = [np.ones(image.shape) for image in images] if known is None else known
         explained = [image * weight for image, weight in zip(images, weights)]
         self.units = [math.sqrt(float(np.mean(np.square(image)))) / IMAGE_RMS for image in explained]
@@ -271,7 +272,7 @@ class Pyramid:
             self._expect_albedo(level, z)
         misfit = sum(problem.misfits) / (problem.pixels * len(problem.images))
         residual = math.sqrt(misfit) / IMAGE_RMS
-        reached = Level(z.shape, residual, time.perf_counter() - self.began)
+        reached = Level(z.shape, residual, self.spent())
         log.info(
             "%d x %d: residual %.2g of the image, %.1f s", *reached.shape, reached.residual, reached.seconds
         )

@@ -495,9 +495,9 @@ def _answer(
         if progress:
             progress(min(len(reached), pyramid.start), pyramid.start + 1)
 
-    pyramid.stop, pyramid.report = lambda: spent() > limits.seconds, report
+    pyramid.stop, pyramid.report, pyramid.spent = lambda: spent() > limits.seconds, report, spent
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
-    search = Search(Multigrid(pyramid, several), several, None if direct is None else direct.search)
+    search = Search(Multigrid(pyramid, several), None if direct is None else direct.search)
     if direct is not None and direct.was_cut:
         return replace(direct, search=search)
     try:

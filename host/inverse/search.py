@@ -77,7 +77,7 @@ class Rival(NamedTuple):
 
 
 class Search:
-    """The state of the search from stage to stage. ``several``: whether there may be several answers.
+    """The state of the search from stage to stage.
 
     share: of the way between the bounds of depth, where the best flat surface lies. even: whether light tells
     no flat surface from another, nor slight relief from its mirror image. answers: on grid
@@ -86,9 +86,9 @@ class Search:
     direct light that this one, with light between surfaces, goes on from.
     """
 
-    def __init__(self, multigrid: Multigrid, several: bool, direct: Search | None = None):
+    def __init__(self, multigrid: Multigrid, direct: Search | None = None):
         pyramid = multigrid.pyramid
-        self.multigrid, self.pyramid, self.several, self.direct = multigrid, pyramid, several, direct
+        self.multigrid, self.pyramid, self.direct = multigrid, pyramid, direct
         self.comparing = 0 if pyramid.is_small(0) else pyramid.start
         self.level = max(self.comparing, pyramid.start - 1)
         self.share = 0.5
@@ -271,7 +271,7 @@ def start_filled(search: Search) -> None:
     """
     pyramid = search.pyramid
     if pyramid.has_gaps:
-        filled = Multigrid(without_gaps(pyramid), search.several)
+        filled = Multigrid(without_gaps(pyramid), search.multigrid.several)
         z = filled.solve(*search.begun, search.level, accept=False).depth
         search.answers.insert(0, search.multigrid.relax(search.level, z, ()))
         pyramid.accept(search.level, search.answers[0].depth)
@@ -353,9 +353,10 @@ def start_mirrored(search: Search) -> None:
 def choose(search: Search) -> None:
     """The first answer, unless another one explains the images clearly better; the rest are its rivals."""
     first, best = search.answers[0], _best(search.answers)
-    doubted = search.several or search.pyramid.has_gaps  # whether a lower objective may be of a wrong answer
+    # whether a lower objective may be of a wrong answer
+    doubted = search.multigrid.several or search.pyramid.has_gaps
     answer = best if best.objective < (BETTER if doubted else CLEARLY) * first.objective else first
-    power = 1 if search.several else 2
+    power = 1 if search.multigrid.several else 2
     search.rivals += [
         Rival(other.depth - answer.depth, min(1, answer.objective / other.objective) ** power)
         for other in search.answers

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -46,12 +47,8 @@ class Later:
     def __call__(self) -> np.ndarray:
         return self.work()
 
-    def __reduce__(self) -> tuple[Callable[[np.ndarray], Later], tuple[np.ndarray]]:
-        return _made, (self(),)
-
-
-def _made(image: np.ndarray) -> Later:
-    return Later(lambda: image)
+    def __reduce__(self) -> tuple[type[Later], tuple[Callable[[], np.ndarray]]]:
+        return Later, (partial(np.asarray, self()),)
 
 
 class LightMethod(ABC):

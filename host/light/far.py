@@ -69,10 +69,12 @@ class Tiling:
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or value < least or value & (value - 1):
                 raise bad(f"Tiling: {name}", repr(value), f"a power of two, at least {least}")
+            object.__setattr__(self, name, int(value))  # NumPy's integers have no bit_length
         if self.rule > self.halo:
             raise bad("Tiling: rule", self.rule, f"at most halo, {self.halo}")
         if not isinstance(self.tile, (int, np.integer)) or self.tile < self.halo or self.tile % self.halo:
             raise bad("Tiling: tile", repr(self.tile), f"a multiple of halo, {self.halo}")
+        object.__setattr__(self, "tile", int(self.tile))
         if self.tile % (1 << self.top):  # else cells of overviews would lie across tiles
             raise bad("Tiling: tile", self.tile, f"a multiple of {1 << self.top}, or a rule of at least 8")
         if self.earth is not None:
@@ -391,11 +393,6 @@ class Marched:
         size = self.steps, count, nodes, *far.shape, self.highest, far.drop, int(far.periodic)
         backend.launch("far", "march", (-(-nodes // backend.lanes), count), *maps, *size)
         return lines
-
-
-def in_spacings(levels: list[Cells], base: float, spacing: float) -> list[Cells]:
-    """Heights [length] as a window has them: in spacings above ``base``."""
-    return [level._replace(heights=scaled(level.heights, base, spacing)) for level in levels]
 
 
 def scaled(heights: np.ndarray, base: float, spacing: float) -> np.ndarray:

@@ -54,6 +54,7 @@ class Planes:
             self.shift = min(PLANE_SHIFT, (cols & -cols).bit_length() - 1)
         self.margin = engine.lanes + 1
         self.across = -(-cols // (1 << self.shift))
+        self.width = -(-self.across // engine.lanes) * engine.lanes  # in whole vectors
         self.plane_map = (1 << self.shift) * (rows + 2) * (self.across + 2 * self.margin)
         if lights * max(self.plane_map, rows * cols) >= 2**31:
             raise CapacityError(f"A map of {rows * cols:,} nodes in {lights} colours: cut it into tiles.")
@@ -116,7 +117,6 @@ class Strips(Planes):
         self.one, ones = (engine.upload(np.ones(count, np.float32)) for count in (1, self.lights))
         self.tables = self._tables(rays)
         self.steps = self.tables[1].shape[1]
-        self.width = -(-self.across // engine.lanes) * engine.lanes
         self.sums = engine.empty(
             ((self.lights + 1) * self.shape[0] * (1 << self.shift) * self.width,), np.float32
         )
@@ -256,19 +256,15 @@ class Bounces(Planes):
         tables = self._tables(this)
         common = (*self._layout, SIDES[self.sides])
         if this.stride > 1:
-            phases, width = (
-                max(1, (1 << self.shift) // this.stride),
-                -(-self.across // engine.lanes) * engine.lanes,
-            )
-            lines = -(-rows // this.stride)
-            sums = engine.empty(((self.lights + 1) * lines * phases * width,), np.float32)
-            grid = this.stride, phases, width
+            phases, lines = max(1, (1 << self.shift) // this.stride), -(-rows // this.stride)
+            sums = engine.empty(((self.lights + 1) * lines * phases * self.width,), np.float32)
+            grid = this.stride, phases, self.width
             self._gather_receivers(this.azimuths, tables, sums, grid, self.highest)
             dim = -(-cols // min(this.stride, 1 << self.shift)), rows
             given = self.heights, sums, self.direct, self.sky, self.total, *common, *grid
             engine.launch("interreflection", "fill", dim, *given, group=GROUP, LIGHTS=self.lights)
         if this.stride == 1 or self.valid is not None:
-            nodes = -(-self.across // engine.lanes), 1 << self.shift, rows
+            nodes = self.width // engine.lanes, 1 << self.shift, rows
             maps = self.heights, self.light, *tables, self.direct, self.sky, self.total
             size = this.azimuths, tables[1].shape[1], *common, int(this.stride == 1), self.highest
             engine.launch("interreflection", "gather_nodes", nodes, *maps, *size, LIGHTS=self.lights)

@@ -436,7 +436,7 @@ def _batches(half: Half, most: int) -> Iterator[tuple[int, int]]:
     first = 0
     while first < len(half.numbers):
         windows = half.windows[first : first + most]
-        count = int((windows == windows[0]).sum()) if most > 1 else 1
+        count = int((windows == windows[0]).sum())
         yield first, count
         first += count
 

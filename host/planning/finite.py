@@ -340,7 +340,7 @@ class LinePlanner(FinitePlanner):
         self.set_exact_light(EXACT_SLICE_MULTIPLE * LINE_COUNTS[0])
 
     def _choose_refinable(self) -> None:
-        self.method_class = LinePoints
+        self.method_class, self.rays_per_node = LinePoints, 0
         self.choose_units((EXACT_SLICE_MULTIPLE * count, [count]) for count in LINE_COUNTS)
 
     def set_exact_light(self, units: int) -> None:

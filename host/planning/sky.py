@@ -218,14 +218,14 @@ class SkyPlanner(UnitsPlanner):
         return super().audit(method)
 
     def refine(self, is_mostly_common: bool) -> bool:
-        if self.method_class is Horizons and is_mostly_common:
+        if is_mostly_common:
             near = next((near for near in CLIFF_NEAR_ROWS if near > (self.near_rows or 0)), None)
             if near is not None:
                 self.near_rows = near
-                assert isinstance(self.method, Horizons), "it is of method_class"
+                assert isinstance(self.method, Horizons), "make gives no other"
                 self.method = self.make(self.method)
                 return True
-        if self.method_class is Horizons and self.scene.sides == "periodic":
+        if self.scene.sides == "periodic":
             times = self.method.units // self.units
             swept = 0 if self.exact_parts else len(self.bright_parts)
             added = times * (self.units + 2 * swept * self.sectors)

@@ -148,6 +148,11 @@ class BrightPart:
     def _kept_sectors(self) -> dict[tuple[int, bool], tuple[np.ndarray, np.ndarray]]:
         return {}
 
+    @property
+    def nbytes(self) -> int:
+        """Of the sectors that are kept."""
+        return sum(ways.nbytes + table.nbytes for ways, table in list(self._kept_sectors.values()))
+
     def sectors(self, count: int, shifted: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Its light in ``count`` sectors of azimuth that have equal shares of it; kept, not to be changed.
 
@@ -284,12 +289,11 @@ class Integrals:
         self._source = sources.Sky(function)
         self.looked_closer = False  # than at base cells
         sizes = np.array([0, *np.cumsum([band.light.size for band in bands])])
-        solid = [band.solid_angle for band in bands]
-        total = sum(float((angle * band.light).sum()) for band, angle in zip(bands, solid))
-        limit = BRIGHT * _median(bands, solid)
+        total = sum(float((band.solid_angle * band.light).sum()) for band in bands)
+        limit = BRIGHT * _median(bands)
         leaves, self.error = None, 0.0
         if image is None:
-            leaves, self.error, total = self._divide(bands, sizes, solid, total, peaks or ())
+            leaves, self.error, total = self._divide(bands, sizes, total, peaks or ())
         elif 2 * len(bands[0].light) < LIGHT_CELLS * len(image) and not math.isinf(tolerance):
             leaves = self._divide_bright(bands[0], limit)
         moments = np.concatenate([band.moments.reshape(2, -1) for band in bands], 1)
@@ -337,14 +341,14 @@ class Integrals:
         return sources.radiance(self._source, sources.directions_of(azimuth, sine))
 
     def _divide(
-        self, bands: list[Band], sizes: np.ndarray, solid: list[np.ndarray], total: float, peaks: Peaks
+        self, bands: list[Band], sizes: np.ndarray, total: float, peaks: Peaks
     ) -> tuple[Cells, float, float]:
         """(leaves of the divided cells, relative error, all light).
 
         Cells are divided where the second difference of brightness is large.
         """
         total = max(total, 1e-300)
-        cells, step, variance = self._rough_cells(bands, sizes, solid, total, peaks)
+        cells, step, variance = self._rough_cells(bands, sizes, total, peaks)
         leaves = _Leaves([], total - float(cells.light @ cells.solid_angle), variance)
         evaluations, per_cell = MOST_CELL_EVALUATIONS, (CELL_PARTS + 2) ** 2
         for _ in range(MOST_DIVISIONS):
@@ -379,7 +383,7 @@ class Integrals:
         return self._parts(band.cells(row, col, 0), is_linear=True)[0]
 
     def _rough_cells(
-        self, bands: list[Band], sizes: np.ndarray, solid: list[np.ndarray], total: float, peaks: Peaks
+        self, bands: list[Band], sizes: np.ndarray, total: float, peaks: Peaks
     ) -> tuple[Cells, np.ndarray, float]:
         """(base cells to be divided, their second differences, variance of the others).
 
@@ -387,8 +391,8 @@ class Integrals:
         by samples.
         """
         begin, corrections, variance = [], [], 0.0
-        for n, (band, angle) in enumerate(zip(bands, solid)):
-            light = band.light
+        for n, band in enumerate(bands):
+            light, angle = band.light, band.solid_angle
             step, correction = _band_steps(bands, n)
             step *= angle
             mark = (step > ROUGH_SHARE * total) | _near_base(band, peaks)
@@ -495,7 +499,10 @@ class Integrals:
     @property
     def nbytes(self) -> int:
         """Of all that is kept."""
-        return self._nbytes + sum(table.nbytes for table in list(self._kept.values()))
+        return self._nbytes + self._kept_bytes() + sum(spot.nbytes for spot in self.bright_parts)
+
+    def _kept_bytes(self) -> int:
+        return sum(table.nbytes for table in list(self._kept.values()))
 
     def once(self, key: tuple[Any, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
         """What ``make`` gives, kept under ``key``, which says all that it depends on; not to be changed."""
@@ -507,7 +514,7 @@ class Integrals:
                 return made
             self._kept[key] = made
             for oldest in list(self._kept):
-                if self.nbytes - self._nbytes <= KEPT_TABLE_BYTES:
+                if self._kept_bytes() <= KEPT_TABLE_BYTES:
                     break
                 self._kept.pop(oldest, None)
         return made
@@ -799,12 +806,13 @@ def antiderivatives(elevation: np.ndarray) -> np.ndarray:
     return np.stack([elevation / 2 + np.sin(2 * elevation) / 4, np.sin(elevation) ** 2 / 2])
 
 
-def _median(bands: list[Band], solid: list[np.ndarray]) -> float:
+def _median(bands: list[Band]) -> float:
     """Of brightness, by solid angle."""
     every = [max(1, band.light.shape[1] // 128) for band in bands]
     light = np.concatenate([band.light[:, ::n].ravel() for band, n in zip(bands, every)])
     counts = [band.light[:, ::n].shape[1] for band, n in zip(bands, every)]
-    weight = np.concatenate([np.repeat(n * a, k, 1).ravel() for a, n, k in zip(solid, every, counts)])
+    shares = zip(bands, every, counts)
+    weight = np.concatenate([np.repeat(n * band.solid_angle, k, 1).ravel() for band, n, k in shares])
     order = np.argsort(light)
     return float(light[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)])
 

@@ -117,9 +117,8 @@ def _horizon(
 
 def _wall(ways: Ways, x: np.ndarray, y: np.ndarray, rows: int, cols: int) -> np.ndarray:
     c, s, _, rise, _, run = ways
-    half = f32(0.5)
-    to_x = np.where(c > 0, f32(cols) - half - x.astype(f32), x.astype(f32) + half)
-    to_y = np.where(s > 0, f32(rows) - half - y.astype(f32), y.astype(f32) + half)
+    to_x = np.where(c > 0, f32(cols) - HALF - x.astype(f32), x.astype(f32) + HALF)
+    to_y = np.where(s > 0, f32(rows) - HALF - y.astype(f32), y.astype(f32) + HALF)
     return np.minimum(
         np.where(c != 0, to_x / run, f32(1e30)), np.where(s != 0, to_y / rise, f32(1e30))
     ).astype(f32)
