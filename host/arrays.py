@@ -11,7 +11,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
@@ -27,6 +27,8 @@ class Labels(NamedTuple):
     coords: dict[Hashable, Any]
     attrs: dict[Any, Any]
     grid_mapping: Hashable = None  # the coordinate that holds the coordinate reference system, where told
+    # positions along axes that have no coordinates, by the transform that the reference system tells
+    places: dict[Hashable, Any] = {}  # noqa: RUF012  never changed
 
     def are_of(self, shape: tuple[int, ...]) -> bool:
         """Whether the coordinates fit a map of this shape."""
@@ -189,7 +191,30 @@ def labels_of(values: Any) -> Labels | None:
         with contextlib.suppress(OverflowError, TypeError, ValueError):
             if (no_data := values.rio.nodata) is not None:
                 attributes["nodata"] = no_data
-    return Labels(values.dims, coords, attributes, grid_mapping)
+    places = cells_along(values.dims[-2:], values.shape[-2:], _transform(coords))
+    return Labels(values.dims, coords, attributes, grid_mapping, places)
+
+
+def _transform(coords: Any) -> list[float]:
+    """GDAL's six numbers of a grid, x of the first corner, and by column and row, then y; else none."""
+    told = next((c.attrs["GeoTransform"] for c in coords.values() if "GeoTransform" in c.attrs), "")
+    try:
+        numbers = [float(word) for word in str(told).split()]
+    except ValueError:
+        return []
+    return numbers if len(numbers) == 6 and all(map(math.isfinite, numbers)) else []
+
+
+def cells_along(
+    dims: Sequence[Hashable], shape: Sequence[int], transform: Sequence[float]
+) -> dict[Hashable, Any]:
+    """Middles of cells along rows and columns by GDAL's six numbers; none where these turn the grid."""
+    if len(dims) != 2 or not transform or transform[2] or transform[4]:
+        return {}
+    x, across, _, y, _, down = transform
+    ends = zip(dims, shape, (y, x), (down, across))
+    xarray = sys.modules["xarray"]
+    return {name: xarray.DataArray(at + step * (np.arange(n) + 0.5), dims=name) for name, n, at, step in ends}
 
 
 def no_data_of(labels: Labels | None) -> list[float]:
@@ -207,8 +232,13 @@ def no_data_of(labels: Labels | None) -> list[float]:
             "heights",
             "Open it with mask_and_scale=True; where they are heights already, remove these attributes.",
         )
-    told = [np.ravel(labels.attrs.get(name, ())) for name in NO_DATA]
-    numbers = [float(value) for values in told if values.dtype.kind in "iuf" for value in values]
+    numbers = []
+    for name in NO_DATA:
+        told = np.ravel(labels.attrs.get(name, ()))
+        try:
+            numbers += [float(value) for value in told] if told.dtype.kind in "iufU" else []
+        except ValueError:
+            raise bad(f"attribute {name!r} of a DataArray", repr(told[0]), "a number") from None
     return [number for number in numbers if not math.isnan(number)]
 
 
@@ -239,7 +269,8 @@ def metres_in(unit: str) -> float | None:
 
 
 def spacing_of(labels: Labels | None) -> float:
-    """The distance of neighbouring nodes by the coordinates of an xarray.DataArray; 1 where there are none.
+    """The distance of neighbouring nodes by the coordinates of an xarray.DataArray, or by the transform of
+    its reference system (rioxarray's spatial_ref); 1 where there are neither.
 
     In the unit of height, where units of both are known; a warning where one is told and not known, and
     where only one is told and is not the metre. InputError for coordinates that are uneven, not square, or
@@ -273,10 +304,11 @@ def spacing_of(labels: Labels | None) -> float:
             )
         scale = here / high if here and high else 1.0
         steps.append(scale * np.abs(np.diff(coordinate.values.astype(np.float64))))
-    if not steps and (curved := [name for name in labels.coords if _is_curved(labels, name)]):
+    curved = [f"coordinate {name}" for name in labels.coords if _is_curved(labels, name)]
+    if not steps and (curved or _transform(labels.coords)):
         raise bad(
             "spacing by coordinates",
-            f"two-dimensional ones, {', '.join(map(str, curved))}, of a turned or curved grid",
+            f"a turned or curved grid, by {', '.join(curved) or 'the transform of the reference system'}",
             "one coordinate along each axis",
             "Reproject the map (dem.rio.reproject).",
         )
@@ -384,7 +416,9 @@ def axes_of(labels: Labels | None) -> tuple[float, float]:
     return (-1.0 if _grows(labels, cols) < 0 else 1.0), (-1.0 if _grows(labels, rows) > 0 else 1.0)
 
 
-def lies_on(labels: Labels | None, values: Any, what: str) -> None:
+def lies_on(
+    labels: Labels | None, values: Any, what: str, fix: str = "Use reindex_like(method='nearest')."
+) -> None:
     """InputError where a DataArray that goes with a map has its axes exchanged, or other coordinates.
 
     ``values``: that, its labels, or anything that has none.
@@ -401,7 +435,7 @@ def lies_on(labels: Labels | None, values: Any, what: str) -> None:
         here, there = (line.values.astype(np.float64) for line in lines)
         if np.abs(there - here).max() > np.abs(np.diff(here)).max() / 2:
             got, allowed = (f"{line[0]:g} to {line[-1]:g}" for line in (there, here))
-            raise bad(f"{what}: coordinate {name!r}", got, allowed, "Use reindex_like(method='nearest').")
+            raise bad(f"{what}: coordinate {name!r}", got, allowed, fix)
 
 
 def _is_curved(labels: Labels, name: Hashable) -> bool:
@@ -421,8 +455,8 @@ def _grows(labels: Labels, name: Hashable) -> float:
 
 
 def _positions(labels: Labels, name: Hashable) -> Any:
-    """The coordinate of a dimension, None where there are no numbers along it."""
-    coordinate = labels.coords.get(name)
+    """Positions along a dimension, by its coordinate or else the transform; None where there are none."""
+    coordinate = labels.coords.get(name, labels.places.get(name))
     is_line = coordinate is not None and coordinate.ndim == 1 and coordinate.dtype.kind in "iuf"
     return coordinate if is_line else None
 
@@ -432,8 +466,9 @@ def labelled(
 ) -> Any:
     """``array`` as an xarray.DataArray with the coordinates of ``labels``, or as it is where there are none.
 
-    Name, units and description are those of ``quantity``; other attributes stay. ``leading``: axes before
-    theirs, with coordinates. Colours are an axis ``last`` after theirs. InputError if that name is taken.
+    Name, units and description are those of ``quantity``; other attributes stay; nan is no data.
+    ``leading``: axes before theirs, with coordinates. Colours are an axis ``last`` after theirs. InputError
+    if that name is taken.
     """
     if labels is None or array is None:
         return array
@@ -448,6 +483,8 @@ def labelled(
     told = {"units": quantity.units, "long_name": quantity.long_name}
     attrs |= {key: value for key, value in told.items() if value is not None}
     result = xarray.DataArray(array, {**labels.coords, **leading}, dims, quantity.name, attrs)
+    if array.dtype.kind == "f":
+        result.encoding["_FillValue"] = np.nan  # which files then declare
     if labels.grid_mapping is not None:
         result.encoding["grid_mapping"] = labels.grid_mapping
     return result

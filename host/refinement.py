@@ -21,7 +21,7 @@ from .interreflection import check_choice
 from .light.base import Estimate, Later, LightMethod
 from .light.finite import solid_of
 from .light.lattice import lacking
-from .planning.base import UNDEFINED, Planner
+from .planning.base import Planner
 from .planning.finite import HiddenWindowPlanner, LinePlanner, SlicePlanner, looks_thin
 from .planning.lattice import LatticePlanner
 from .planning.plan import Choice, Plan, Step, larger, percent
@@ -157,7 +157,6 @@ def refined(
         common * mean if math.isfinite(common) and not planner.unknown else math.inf,
         made,
         [
-            *(text for text in made.beyond if UNDEFINED in text),
             *assessment.warnings(tolerance, planner.tail),
             *([f"Tolerance: the error is not known, {planner.unknown}."] if planner.unknown else []),
         ],

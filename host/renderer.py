@@ -43,7 +43,7 @@ from .light.slices import (
     widened,
 )
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
-from .planning.base import lamp_below
+from .planning.base import gap_below, lamp_below, undefined_light
 from .planning.plan import Choice, Plan, percent
 from .refinement import ASSUMED_ERROR_RATIO, Refined, refined
 from .reflectance import BRDF, Phong
@@ -154,6 +154,7 @@ class Renderer:
     def _all_light(self) -> tuple[list[Irradiance], list[Irradiance], list[np.ndarray], list[np.ndarray]]:
         """Direct irradiances, irradiances of all light, and what else is reflected of direct light and of all
         light: an array per colour each."""
+        self.warnings += undefined_light(self.source, gap_below(self.scene, self.source, self.engine))
         direct, shine = self._light()
         self.warnings += _left_below(self)
         irradiances = self._with_bounces(direct)

@@ -269,7 +269,8 @@ class Scene:
         ``height``: (rows, cols); the other arguments and errors as for :class:`Scene`. The difference is
         taken in the type of ``height`` before it is rounded to float32, so heights far above zero keep their
         relief. ``spacing``: unless given, that of an xarray.DataArray's coordinates, which must be even,
-        square and no degrees, in the unit of ``height``; 1 without coordinates.
+        square and no degrees, in the unit of ``height``; without these, that of its reference system's
+        transform (rioxarray), else 1.
 
         A dask.array, or a DataArray with Dask's chunks, makes a lazy scene: nan is where it has no data, and
         horizons, sky_view_factor, openness and render give lazy results of the same chunks. A map of its

@@ -497,6 +497,7 @@ def test_backends(capsys):
         (["horizon", "depth.npy", "a.npy", "--source", "clear", "--sun", "10,20"], 2, "--plot"),
         (["horizon", "below.npy", "a.npy"], 3, "give --height"),
         (["horizon", "holes.npy", "a.npy"], 3, "--nodata nan"),
+        (["recover", "holes.npy", "a.npy"], 3, "Give --mask FILE"),
     ],
 )
 def test_errors(here, capsys, arguments, code, says):

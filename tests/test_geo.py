@@ -182,6 +182,61 @@ def test_the_convergence_is_that_of_pyproj(tmp_path, crs, longitude, latitude):
             assert geo.convergence(dem) == pytest.approx(expected, abs=1e-5)
 
 
+def test_an_array_without_coordinates_lies_where_its_transform_says(tmp_path):
+    """Its spacing and convergence were 1 and 0; degrees and turned grids are refused as with coordinates."""
+    rioxarray = pytest.importorskip("rioxarray")
+    read = lambda path: rioxarray.open_rasterio(path, masked=True, parse_coordinates=False)[0]
+    path = make(tmp_path / "dem.tif")
+    own, usual = read(path), rioxarray.open_rasterio(path, masked=True)[0]
+    assert not set(own.dims) & set(own.coords)
+    for dem in (own, usual.drop_vars(["x", "y"]), own.chunk(4)):
+        assert sl.Scene.from_height(dem).spacing == 30
+    assert geo.convergence(own) == geo.convergence(usual) != 0
+    found = sl.sky_view_factor(own, azimuths=4, backend="numpy")
+    assert set(found.coords) == set(own.coords)
+    np.testing.assert_array_equal(found, sl.sky_view_factor(usual, azimuths=4, backend="numpy"))
+    with pytest.raises(sl.InputError, match="albedo: coordinate 'y'"):
+        sl.Scene.from_height(own, albedo=0 * usual.assign_coords(y=usual.y + 300) + 0.5)
+    south = make(tmp_path / "south.tif", transform=Affine(30, 0, 730000, 0, 30, 4070000))
+    for file in (path, south):  # rows that run south, and north
+        given = read(file), rioxarray.open_rasterio(file, masked=True)[0]
+        np.testing.assert_array_equal(*(sl.horizons(dem, azimuths=4, backend="numpy") for dem in given))
+    degrees = make(tmp_path / "degrees.tif", crs="EPSG:4326", transform=from_origin(5, 40, 1e-3, 1e-3))
+    turned = make(tmp_path / "turned.tif", transform=METRES["transform"] * Affine.rotation(10))
+    for dem, says in ((degrees, "degrees"), (turned, "turned or curved grid, by the transform")):
+        refused(says, sl.Scene.from_height, read(dem))
+    odd = own.copy()
+    odd.spatial_ref.attrs["GeoTransform"] = "1 2 three"  # no transform at all
+    assert sl.Scene.from_height(odd).spacing == 1
+
+
+def test_a_result_is_written_where_its_coordinates_say(tmp_path):
+    """One with rows from south to north was mirrored, since a Raster is north up."""
+    rioxarray = pytest.importorskip("rioxarray")
+    south = make(tmp_path / "south.tif", transform=Affine(30, 0, 730000, 0, 30, 4070000))
+    result = 1.0 + rioxarray.open_rasterio(south, masked=True)[0]
+    like, out = geo.read(south), tmp_path / "out.tif"
+    refused(("coordinate 'y': got", "sortby"), geo.write, out, result, like)
+    moved = result.sortby("y", ascending=False)
+    refused("coordinate 'x'", geo.write, out, moved.assign_coords(x=moved.x + 30), like)
+    assert not out.exists()
+    geo.write(out, moved, like)
+    np.testing.assert_array_equal(rioxarray.open_rasterio(out, masked=True)[0], moved)
+    geo.write(out, moved.drop_vars(["x", "y", "spatial_ref"]), like)
+    geo.write(out, moved.expand_dims(colour=3, axis=-1), like)
+    refused("coordinate 'y'", geo.write, out, result.expand_dims(colour=3, axis=-1), like)
+
+
+def test_files_of_results_declare_nan(tmp_path):
+    """As no data, also those that rioxarray writes."""
+    rioxarray = pytest.importorskip("rioxarray")
+    dem = rioxarray.open_rasterio(make(tmp_path / "dem.tif"))[0]
+    found = sl.sky_view_factor(dem, azimuths=4, backend="numpy")
+    found.rio.to_raster(tmp_path / "out.tif")
+    with rasterio.open(tmp_path / "out.tif") as file:
+        assert np.isnan(file.nodata) and not file.read_masks(1)[3, 4:6].any()
+
+
 def test_no_projection_no_convergence(tmp_path):
     for name, options in {
         "moon": dict(crs=MOON),

@@ -171,6 +171,7 @@ def test_a_valley_gets_the_sum_of_its_hours(fast):
         ({"times": ["yesterday"]}, "times"),
         ({"times": DAY[[0, 1, 3]]}, "Pass hours"),
         ({"times": DAY[:1]}, "Pass hours"),
+        ({"times": DAY[::-1]}, "backwards; allowed: times that increase"),
         ({"times": DAY[:0]}, "at least one"),
         ({"hours": [1.0, 2.0]}, "one or 6"),
         ({"hours": 0.0}, "with 0.0.* > 0"),

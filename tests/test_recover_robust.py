@@ -951,6 +951,16 @@ def test_a_wide_gap_is_told(fast):
         assert any(text.startswith("Wide gap") for text in found.warnings) is told
 
 
+def test_one_pixel_tells_nearly_nothing(fast):
+    """Its std was 0.08 where the error was 2 layers, and that of the gap around it 0.2."""
+    _, image, _ = _in_a_box("bumps", (0, 0, 0))
+    mask = np.zeros(image.shape, bool)
+    mask[12, 16] = True
+    found = sl.recover(image, sl.Sky(), mask=mask, max_seconds=1e-6, backend=fast, **MASKED)
+    bounds = MASKED["layers"] - 1
+    assert found.std.min() > 0.8 * bounds / np.sqrt(12) and found.confidence.max() < 0.5
+
+
 @pytest.mark.parametrize("shape", [(17, 100), (1, 70)])
 def test_long_images_have_no_small_grid(fast, shape):
     """Their coarsest grid is longer than 64 nodes; the search for a warning on gaps found none and failed."""

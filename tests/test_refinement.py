@@ -1,6 +1,7 @@
 """The loop of refinement: promises kept, closed forms, refinements, the error map, every warning."""
 
 import functools
+import itertools
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import re
 import subprocess
 import sys
 import threading
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -327,6 +329,20 @@ def test_a_bowl_in_a_plain_needs_few_azimuths(fast):
 def test_a_number_of_any_type_is_a_uniform_sky():
     """A brightness of NumPy's float32 is a number, and no table of a brightness that varies."""
     assert_bits_equal(unoccluded.sky(SCENES["ramp"], np.float32(2)), unoccluded.sky(SCENES["ramp"], 2.0))
+
+
+@pytest.mark.parametrize("method", ["unoccluded", "horizon"])
+def test_nodes_within_a_sphere_see_nothing_else(fast, method):
+    """Wherever its centre is: pi B; and half of it where its middle plane is theirs (NaN, 6e6 before)."""
+    scene = sl.Scene(np.full((15, 15), 10.0))
+    away = np.hypot(*np.mgrid[-7:8, -7:8])
+    for z in (9.0, 9.9, 9.999, 10.0):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            image = sl.render(scene, sl.Lamp((7, 7, z), 2.02, 3.0), method, quantity="irradiance").image
+        inside = np.hypot(away, 10 - z) < 2.02
+        np.testing.assert_allclose(image[inside], 3 * np.pi, rtol=1e-6)
+        assert image[~inside].max() < 3 * np.pi * 0.6
 
 
 def test_unoccluded_closed_forms(fast):
@@ -1480,10 +1496,10 @@ def test_what_a_scene_needs_beyond_the_model(fast, scene, source, says):
 )
 def test_a_source_in_the_surface_is_a_warning(fast, depth, source, says):
     """Its light is not defined there; a source above the surface has no such warning."""
-    for away in (0.0, 3.5):
+    for away, method in itertools.product((0.0, 3.5), ("auto", "horizon", "unoccluded")):
         scene = sl.Scene(np.full((16, 16), depth + away))
-        out = sl.render(scene, source, tolerance=0.1, interreflection=False, backend=fast)
-        assert any(text.startswith(says) for text in out.warnings) == (away == 0), out.warnings
+        out = sl.render(scene, source, method, tolerance=0.1, interreflection=False, backend=fast)
+        assert sum(text.startswith(says) for text in out.warnings) == (away == 0), out.warnings
 
 
 def test_a_plan_tells_the_light_between_surfaces_in_a_bowl(fast):

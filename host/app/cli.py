@@ -650,6 +650,7 @@ ADVICE = {
     "For terrain heights use Scene.from_height.": "For terrain heights give --height.",
     "Pass mask=numpy.isfinite(height) to leave them out.": "Give --nodata nan to leave them out.",
     "Pass mask=numpy.isfinite(depth) to leave them out.": "Give --nodata nan to leave them out.",
+    "Pass mask=numpy.isfinite(image) to leave gaps out.": "Give --mask FILE, 0 in gaps, to leave them out.",
 }
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ..arrays import factors_of, labels_of, metres_in, stretched
+from ..arrays import Labels, cells_along, factors_of, labels_of, lies_on, metres_in, stretched
 from ..checks import positive_number
 from ..constants import MOST_FILE_PIXELS
 from ..errors import bad, import_extra
@@ -90,8 +90,8 @@ def read(path: StrPath, *, resample: bool = False, spacing: float | None = None)
     nothing is then said of units and of lengths on the map.
 
     Raises InputError for a file that is missing, truncated, damaged, not a TIFF, without a georeference or
-    with several bands, turned, not square, or so tall in latitude that a degree's length changes by more than
-    2 %; or without rasterio.
+    with several bands, turned, not square, or so tall in latitude that a degree's length differs by more than
+    2 % from that at the middle; or without rasterio.
     """
     path = readable(path)
     with _opened(path) as file:
@@ -283,6 +283,7 @@ def write(path: StrPath, array: np.ndarray, like: Raster, *, unit: str = "") -> 
         raise bad("like", type(like).__name__, "the Raster whose georeference it has, from skylamp.geo.read")
     destination(path)
     rasterio = _rasterio(path)
+    _check_place(array, like, path)
     array = numbers(array, f"{path}: cannot write the array")
     array = array.astype(np.uint8) if array.dtype == bool else array
     if array.shape == (*like.values.shape, 3):
@@ -318,6 +319,17 @@ def write(path: StrPath, array: np.ndarray, like: Raster, *, unit: str = "") -> 
             out.write(memory.getbuffer())
 
 
+def _check_place(array: Any, like: Raster, path: Path) -> None:
+    """InputError where a DataArray has other coordinates than the Raster whose georeference it gets."""
+    labels = labels_of(array)
+    if labels is None:
+        return
+    dims = labels.dims[:2] if array.shape == (*like.values.shape, 3) else labels.dims[-2:]
+    own = Labels(dims, {}, {}, places=cells_along(dims, like.values.shape, like.transform.to_gdal()))
+    fix = "Give the Raster of its own map; one whose rows run north, array.sortby('y', ascending=False)."
+    lies_on(own, labels, f"{path}: cannot write the array", fix)
+
+
 def _rasterio(path: Path | str) -> Any:
     modules = "rasterio", "rasterio.errors", "rasterio.warp"
     return import_extra(f"{path}: a GeoTIFF", "rasterio", "geo", *modules)[0]
@@ -338,7 +350,7 @@ def _metres(path: Path, raster: Raster) -> tuple[float, float]:
         raise bad(
             f"{path}: cells in degrees that change their width",
             f"latitudes {bottom:.4g} to {top:.4g}",
-            "a map so low that a degree's length changes by at most 2 %",
+            "a map so low that a degree's length is within 2 % of that at the middle latitude",
             "Warp it to a metric system, by rio warp IN.tif OUT.tif --dst-crs EPSG:NNNN",
         )
     return east * lengths[1][0], north * lengths[1][1]

@@ -230,14 +230,15 @@ def _ball(gx: Values, gy: Values, to: Vector, up: Values, ball: Ball) -> np.ndar
     """Irradiance by a ball of brightness 1, ``to`` the vectors to its centre; ``up`` the normals' z.
 
     pi (R / d)^2 cos where it lies wholly above the plane, else the closed form of the part above it (Howell,
-    Menguc, Daun and Siegel 2020, factor B-43).
+    Menguc, Daun and Siegel 2020, factor B-43); pi at nodes within it.
     """
     far = np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
+    within, far = far < np.float32(ball.radius), np.maximum(far, np.float32(ball.radius))
     cosine = (to[0] * gx + to[1] * gy + to[2]) * up / far
     ratio = np.float32(ball.radius) / far
     light: np.ndarray = np.pi * ratio**2 * cosine
-    cut = np.flatnonzero((np.abs(cosine) < ratio).ravel())
-    light = np.where(cosine < 0, 0, light)
+    cut = np.flatnonzero(((np.abs(cosine) < ratio) & ~within).ravel())
+    light = np.where(within, np.float32(np.pi), np.where(cosine < 0, 0, light))
     if not cut.size:
         return light
     c, r = (np.broadcast_to(v, light.shape).ravel()[cut].astype(float) for v in (cosine, ratio))
@@ -352,7 +353,8 @@ def _rays_to_ball(ball: Ball, to: Vector, count: int) -> Iterator[tuple[Vector, 
     if count == 1:
         yield to, 1.0
         return
-    flat, far = np.sqrt(to[0] ** 2 + to[1] ** 2), np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
+    flat = np.sqrt(to[0] ** 2 + to[1] ** 2)
+    far = np.maximum(np.sqrt(flat**2 + to[2] ** 2), 1e-9)
     c, s, rise = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9), -to[2] / far
     rings = max(1, round(math.sqrt(count) / 2))
     for number, (area, weight) in enumerate(_gauss(rings)):

@@ -59,7 +59,6 @@ TABLES_ERROR = 1e-4
 # of the tolerance, from which on a plan notes the rounding of depths [spacing], and light from below the
 # level. Chosen: by as much as depths are rounded slopes are wrong, a tenth of what was asked for
 NOTED_SHARE = 0.1
-UNDEFINED = "its light is not defined"  # ends a sentence that is a warning too
 # rows and columns of nodes, at most, whose distance from a lamp is looked at; chosen
 GAP_NODES = 512
 
@@ -268,16 +267,12 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
             f"Light between surfaces is left out: it is about {percent(between)} of the direct light (RMS"
             " over the mean)."
         )
-    is_sky = isinstance(source, sources.Sky)
-    gap = math.inf if is_sky else _gap(scene, source, planner.engine, samples.highest)
-    touches = "The lamp touches the surface:"
-    if isinstance(source, sources.Window):
-        touches = "The window touches the surface:"
-    if gap == 0 and getattr(source, "radius", None) is None:
-        yield f"{touches} nodes lie in its plane, 0 spacings from it, where {UNDEFINED}."
+    gap = gap_below(scene, source, planner.engine)
+    if is_undefined := undefined_light(source, gap):
+        yield from is_undefined
     elif gap < 1:
         where = f"reaches {-gap:.2g} spacings into" if gap < 0 else f"ends {gap:.2g} spacings from"
-        yield f"{touches} it {where} it, and the grid holds nothing finer than 1."
+        yield f"{_touches(source)} it {where} it, and the grid holds nothing finer than 1."
     if isinstance(source, sources.Lamp) and source.volume is None and not planner.closed:
         if (lost := left_below(scene, source, planner.engine)) > NOTED_SHARE * planner.tolerance:
             yield lamp_below(lost)
@@ -306,9 +301,24 @@ def lamp_below(lost: float) -> str:
     )
 
 
-def _gap(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, highest: float) -> float:
-    """Least distance [spacings] from a ball or rectangle to the nodes below it, where it is less than 1."""
+def undefined_light(source: sources.Source, gap: float) -> list[str]:
+    """The warning of a flat source from which nodes lie a ``gap`` of 0 away."""
+    if gap != 0 or getattr(source, "radius", None) is not None:
+        return []
+    return [f"{_touches(source)} nodes lie in its plane, 0 spacings from it, where its light is not defined."]
+
+
+def _touches(source: sources.Source) -> str:
+    return f"The {'window' if isinstance(source, sources.Window) else 'lamp'} touches the surface:"
+
+
+def gap_below(scene: Scene, source: sources.Source, engine: Backend) -> float:
+    """Least distance [spacings] from a ball or rectangle to the nodes below it, where it is less than 1; else
+    inf.
+    """
     radius, edges = 0.0, np.zeros((2, 3))
+    if isinstance(source, sources.Sky):
+        return math.inf
     if isinstance(source, sources.Window):
         if source.x is None or source.y is None:
             return math.inf
@@ -321,7 +331,8 @@ def _gap(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, h
     else:  # a volume
         return math.inf
     low, high = corner + np.minimum(edges, 0).sum(0) - radius, corner + np.maximum(edges, 0).sum(0) + radius
-    if -high[2] >= highest + 1:
+    there = scene.on(engine)
+    if -high[2] >= there.heights_range[1] + 1:
         return math.inf
     spans = []
     for axis, count in ((1, scene.shape[0]), (0, scene.shape[1])):
@@ -329,7 +340,6 @@ def _gap(scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, h
         nodes = np.arange(min(max(first, 0), count - 1), max(min(last, count - 1), 0) + 1)
         spans.append(nodes[:: len(nodes) // GAP_NODES + 1])
     v, u = np.meshgrid(*spans, indexing="ij")
-    there = scene.on(engine)
     z = np.nan_to_num(there.pick(v * scene.shape[1] + u).astype(float), posinf=1e30) / there.step  # masked
     apart = np.stack([u, v, z], -1) - corner
     for edge in edges[edges.any(1)]:  # they are at right angles

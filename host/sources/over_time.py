@@ -210,8 +210,9 @@ def _hours(index: Any, hours: Any) -> np.ndarray:
         if not len(steps) or steps[0] <= 0 or (steps != steps[0]).any():
             raise bad(
                 "sky_over_time: times without an even step",
-                f"{len(index)} times, {len(np.unique(steps))} different steps",
-                "times that are evenly spaced, or hours",
+                f"{len(index)} times, {len(np.unique(steps))} different steps"
+                + (", backwards" if (steps < 0).any() else ""),
+                "times that increase evenly, or hours",
                 "Pass hours=1.0 for values of an hour each.",
             )
         hours = (index[1] - index[0]).total_seconds() / 3600
