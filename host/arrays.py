@@ -304,11 +304,12 @@ def spacing_of(labels: Labels | None) -> float:
             )
         scale = here / high if here and high else 1.0
         steps.append(scale * np.abs(np.diff(coordinate.values.astype(np.float64))))
-    curved = [f"coordinate {name}" for name in labels.coords if _is_curved(labels, name)]
+    curved = ", ".join(str(name) for name in labels.coords if _is_curved(labels, name))
     if not steps and (curved or _transform(labels.coords)):
+        got = f"two-dimensional ones, {curved}" if curved else "the transform of the reference system"
         raise bad(
             "spacing by coordinates",
-            f"a turned or curved grid, by {', '.join(curved) or 'the transform of the reference system'}",
+            f"{got}, of a turned or curved grid",
             "one coordinate along each axis",
             "Reproject the map (dem.rio.reproject).",
         )

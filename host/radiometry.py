@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 
 from .errors import bad
 
-Quantity = Any  # a number or an array; arguments of one function broadcast
+Values = Any  # a number or an array; arguments of one function broadcast
 Radiance = Callable[[np.ndarray], np.ndarray]  # of unit vectors (n, 3)
 
 EFFICACY = 683.0  # lm/W of monochromatic light of 540 THz, by the definition of the candela (SI)
 
 
-def foreshortening(normal: ArrayLike, direction: ArrayLike) -> Quantity:
+def foreshortening(normal: ArrayLike, direction: ArrayLike) -> Values:
     """cos(theta) between unit vectors ``normal`` and ``direction`` (..., 3), 0 from behind.
 
     It is the share of its area that a patch shows.
@@ -28,7 +28,7 @@ def foreshortening(normal: ArrayLike, direction: ArrayLike) -> Quantity:
     return np.maximum(0.0, (np.asarray(normal, float) * direction).sum(-1))
 
 
-def planar_angle(length: Quantity, cosine: Quantity, distance: Quantity) -> Quantity:
+def planar_angle(length: Values, cosine: Values, distance: Values) -> Values:
     """Angle [rad] that a short segment of a curve takes up in the plane: dphi = dl cos(theta) / r.
 
     ``cosine``: of the angle between the segment's normal and the line of sight. Arguments broadcast.
@@ -36,7 +36,7 @@ def planar_angle(length: Quantity, cosine: Quantity, distance: Quantity) -> Quan
     return np.asarray(length) * cosine / np.asarray(distance, float)
 
 
-def curve_angle(points: ArrayLike) -> Quantity:
+def curve_angle(points: ArrayLike) -> Values:
     """Angle [rad] that an open curve of straight segments sweeps as seen from the origin.
 
     ``points`` (..., n, 2). Signed by the sense of rotation; a closed curve round the origin gives 2 pi if its
@@ -47,7 +47,7 @@ def curve_angle(points: ArrayLike) -> Quantity:
     return np.arctan2(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], (a * b).sum(-1)).sum(-1)
 
 
-def patch_solid_angle(area: Quantity, cosine: Quantity, distance: Quantity) -> Quantity:
+def patch_solid_angle(area: Values, cosine: Values, distance: Values) -> Values:
     """Solid angle [sr] of a small patch, domega = dA cos(theta) / r^2.
 
     ``cosine``: of the angle between its normal and the line of sight.
@@ -55,7 +55,7 @@ def patch_solid_angle(area: Quantity, cosine: Quantity, distance: Quantity) -> Q
     return np.asarray(area) * cosine / np.square(np.asarray(distance, float))
 
 
-def polygon_solid_angle(corners: ArrayLike) -> Quantity:
+def polygon_solid_angle(corners: ArrayLike) -> Values:
     """Solid angle [sr] of convex flat polygons (..., n, 3) seen from the origin, not from within their plane.
 
     The polygon is cut into triangles from its first corner; each by tan(omega / 2) = a.(b x c) / (abc + ...)
@@ -70,13 +70,8 @@ def polygon_solid_angle(corners: ArrayLike) -> Quantity:
 
 
 def transfer(
-    radiance: Quantity,
-    cosine_1: Quantity,
-    area_1: Quantity,
-    cosine_2: Quantity,
-    area_2: Quantity,
-    distance: Quantity,
-) -> Quantity:
+    radiance: Values, cosine_1: Values, area_1: Values, cosine_2: Values, area_2: Values, distance: Values
+) -> Values:
     """Power [W] from patch 1 to patch 2: d3E = L cos(theta_1) cos(theta_2) dA_1 dA_2 / r^2 per unit of time.
 
     ``radiance``: of patch 1 towards patch 2. Radiance is constant along a ray, so patch 2 receives the same
@@ -87,13 +82,8 @@ def transfer(
 
 
 def radiance_of_transfer(
-    power: Quantity,
-    cosine_1: Quantity,
-    area_1: Quantity,
-    cosine_2: Quantity,
-    area_2: Quantity,
-    distance: Quantity,
-) -> Quantity:
+    power: Values, cosine_1: Values, area_1: Values, cosine_2: Values, area_2: Values, distance: Values
+) -> Values:
     """The radiance [W m^-2 sr^-1] of a ray that carries ``power`` between two small patches.
 
     The inverse of :func:`transfer`. Seen from either end it is the same: radiance is invariant along a ray
@@ -116,7 +106,7 @@ def hemisphere(azimuths: int = 64, elevations: int = 32) -> tuple[np.ndarray, np
     return np.concatenate([flat, up], -1).reshape(-1, 3), np.repeat(weight * np.pi / (2 * azimuths), azimuths)
 
 
-def irradiance(radiance: Radiance, azimuths: int = 64, elevations: int = 32) -> Quantity:
+def irradiance(radiance: Radiance, azimuths: int = 64, elevations: int = 32) -> Values:
     """Irradiance E [W m^-2]: the integral of L cos(theta) over the hemisphere about (0, 0, 1).
 
     ``radiance``: a function of unit vectors (n, 3) to (n,) or (n, channels). For radiance that leaves, this
@@ -126,7 +116,7 @@ def irradiance(radiance: Radiance, azimuths: int = 64, elevations: int = 32) -> 
     return np.tensordot(weights, radiance(directions), 1)
 
 
-def radiosity(radiance: Quantity | Radiance) -> Quantity:
+def radiosity(radiance: Values | Radiance) -> Values:
     """Radiosity B [W m^-2], the power that leaves a surface per area.
 
     ``radiance``: number or array, the same in all directions: B = pi x radiance. Or a function of unit
@@ -135,7 +125,7 @@ def radiosity(radiance: Quantity | Radiance) -> Quantity:
     return irradiance(radiance) if callable(radiance) else np.pi * np.asarray(radiance)
 
 
-def radiance_of_radiosity(radiosity: Quantity) -> Quantity:
+def radiance_of_radiosity(radiosity: Values) -> Values:
     """Radiance [W m^-2 sr^-1] of a surface that looks the same from everywhere: B / pi."""
     return np.asarray(radiosity) * np.float64(1 / np.pi)
 
@@ -163,7 +153,7 @@ def directional_hemispheric(
 # -- photometric units
 
 
-def lumens(watts: Quantity, efficiency: Quantity = 1.0) -> Quantity:
+def lumens(watts: Values, efficiency: Values = 1.0) -> Values:
     """Luminous flux [lm] of a radiant flux [W]: 683 lm/W x ``efficiency``.
 
     ``efficiency``: the mean of the eye's V(lambda) over the spectrum, 1 at 555 nm. By area the same turns
@@ -172,7 +162,7 @@ def lumens(watts: Quantity, efficiency: Quantity = 1.0) -> Quantity:
     return EFFICACY * np.asarray(watts) * _efficiency(efficiency)
 
 
-def watts(lumens: Quantity, efficiency: Quantity = 1.0) -> Quantity:
+def watts(lumens: Values, efficiency: Values = 1.0) -> Values:
     """Radiant flux [W] of a luminous flux [lm]; also lux to W m^-2, cd m^-2 to W m^-2 sr^-1.
 
     See :func:`lumens`.
@@ -180,7 +170,7 @@ def watts(lumens: Quantity, efficiency: Quantity = 1.0) -> Quantity:
     return np.asarray(lumens) / (EFFICACY * _efficiency(efficiency))
 
 
-def intensity(radiance: Quantity, area: Quantity, cosine: Quantity = 1.0) -> Quantity:
+def intensity(radiance: Values, area: Values, cosine: Values = 1.0) -> Values:
     """Intensity I [W sr^-1, cd] of a small flat source: radiance x foreshortened area.
 
     A sphere shows pi R^2 to every side.
@@ -188,12 +178,12 @@ def intensity(radiance: Quantity, area: Quantity, cosine: Quantity = 1.0) -> Qua
     return np.asarray(radiance) * area * cosine
 
 
-def point_irradiance(intensity: Quantity, cosine: Quantity, distance: Quantity) -> Quantity:
+def point_irradiance(intensity: Values, cosine: Values, distance: Values) -> Values:
     """Irradiance E [W m^-2, lx] of a point source: I cos(theta) / r^2, r from its centre."""
     return np.asarray(intensity) * patch_solid_angle(1.0, cosine, distance)
 
 
-def point_error(size: Quantity, distance: Quantity, shape: str = "disc") -> Quantity:
+def point_error(size: Values, distance: Values, shape: str = "disc") -> Values:
     """Relative error of :func:`point_irradiance` for a source of radius ``size``, seen face on.
 
     The source is wholly above the horizon. shape "disc": (R / r)^2, since a Lambertian disc gives
@@ -209,12 +199,12 @@ def point_error(size: Quantity, distance: Quantity, shape: str = "disc") -> Quan
     return ratio**2 if shape == "disc" else np.zeros_like(ratio)
 
 
-def point_distance(size: Quantity, tolerance: Quantity) -> Quantity:
+def point_distance(size: Values, tolerance: Values) -> Values:
     """Least distance at which a disc is a point within a relative ``tolerance``: size / sqrt(tolerance)."""
     return np.asarray(size) / np.sqrt(np.asarray(tolerance, float))
 
 
-def _efficiency(value: Quantity) -> Quantity:
+def _efficiency(value: Values) -> Values:
     value = np.asarray(value, float)
     if not ((value > 0) & (value <= 1)).all():
         raise bad("luminous efficiency", value, "0 to 1, 1 for monochromatic light of 555 nm")
@@ -224,21 +214,19 @@ def _efficiency(value: Quantity) -> Quantity:
 # -- closed forms over finite sources
 
 
-def rectangle_solid_angle(
-    u0: Quantity, u1: Quantity, v0: Quantity, v1: Quantity, distance: Quantity
-) -> Quantity:
+def rectangle_solid_angle(u0: Values, u1: Values, v0: Values, v1: Values, distance: Values) -> Values:
     """Solid angle [sr] of the rectangle u0 <= u <= u1, v0 <= v <= v1 in a plane at ``distance`` from the eye.
 
     The foot of the perpendicular is (u, v) = (0, 0). Arguments broadcast; lengths in one unit.
     """
 
-    def corner(u: Quantity, v: Quantity) -> Quantity:
+    def corner(u: Values, v: Values) -> Values:
         return np.arctan2(u * v, distance * np.sqrt(u * u + v * v + distance * distance))
 
     return corner(u1, v1) - corner(u0, v1) - corner(u1, v0) + corner(u0, v0)
 
 
-def polygon_moment(corners: ArrayLike) -> Quantity:
+def polygon_moment(corners: ArrayLike) -> Values:
     """Integral of L dOmega [sr] over flat polygons seen from the origin, L towards the polygon.
 
     ``corners``: (..., n, 3), in either sense of rotation; returns (..., 3). Lambert's formula: half the sum
@@ -257,7 +245,7 @@ def polygon_moment(corners: ArrayLike) -> Quantity:
     return np.where(towards < 0, -moment, moment)
 
 
-def disc_moment(axis: ArrayLike, sine: ArrayLike, above: ArrayLike | None = None) -> Quantity:
+def disc_moment(axis: ArrayLike, sine: ArrayLike, above: ArrayLike | None = None) -> Values:
     """Integral of L dOmega [sr] over a disc of directions: the cone about the unit vector ``axis``.
 
     ``sine`` of the cone's half angle, below 1: radius / distance of a sphere's centre. ``above``: unit normal

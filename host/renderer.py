@@ -39,7 +39,7 @@ from .light.slices import (
     MOST,
     Slices,
     blurred,
-    brightness_of,
+    stereographic_brightness,
     widened,
 )
 from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, ground_of
@@ -282,7 +282,7 @@ class Renderer:
         assert lobe is not None and most is not None, "the surface has a lobe, the plan a number of slices"
         assert not isinstance(grey, sources.Sky), "a sky has no slices through a solid"
         # finer, as an edge between two samples lies anywhere between them
-        brightness = brightness_of(grey, int(BRIGHTNESS_SIDE * max(1, (fineness + 1) / 2)))
+        brightness = stereographic_brightness(grey, int(BRIGHTNESS_SIDE * max(1, (fineness + 1) / 2)))
         slices, scale = _slices(scene, grey, self.engine, most, brightness, lobe, fineness)
         if slices is None:
             return np.zeros(scene.shape, np.float32)

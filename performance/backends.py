@@ -19,7 +19,7 @@ import numpy as np
 import skylamp as sl
 from skylamp.backends import select
 from skylamp.light import lattice
-from skylamp.light.propagation import FieldByLayers, Light, Surface
+from skylamp.light.propagation import FieldByLayers, LatticeLight, LatticeMap
 
 HEMICUBE = 9
 
@@ -52,8 +52,8 @@ def measure(name: str, scene: sl.Scene, field_size: int, budget: float) -> dict:
     engine = select(name)
     cube = sl.Hemicube(HEMICUBE)
     problem = lattice.problem_of(engine, scene, sl.Sky(), cube, False)
-    surface = Surface(engine, problem)
-    light = Light(surface, cube.moments)
+    surface = LatticeMap(engine, problem)
+    light = LatticeLight(surface, cube.moments)
     tests = scene.depth.size * len(cube)
     row = {"backend": engine.name, "device": engine.device, "nodes": scene.depth.size}
     for label, work in (
@@ -62,7 +62,7 @@ def measure(name: str, scene: sl.Scene, field_size: int, budget: float) -> dict:
         ("filled scan + luminance", None),
     ):
         if work is None:
-            work = Light(Surface(engine, problem._replace(filled=True)), cube.moments).run
+            work = LatticeLight(LatticeMap(engine, problem._replace(filled=True)), cube.moments).run
         compiled = engine.compile_seconds
         seconds, low, high = median_seconds(engine, work, budget)
         row[label] = {

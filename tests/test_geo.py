@@ -203,7 +203,7 @@ def test_an_array_without_coordinates_lies_where_its_transform_says(tmp_path):
         np.testing.assert_array_equal(*(sl.horizons(dem, azimuths=4, backend="numpy") for dem in given))
     degrees = make(tmp_path / "degrees.tif", crs="EPSG:4326", transform=from_origin(5, 40, 1e-3, 1e-3))
     turned = make(tmp_path / "turned.tif", transform=METRES["transform"] * Affine.rotation(10))
-    for dem, says in ((degrees, "degrees"), (turned, "turned or curved grid, by the transform")):
+    for dem, says in ((degrees, "degrees"), (turned, "transform of the reference system, of a turned")):
         refused(says, sl.Scene.from_height, read(dem))
     odd = own.copy()
     odd.spatial_ref.attrs["GeoTransform"] = "1 2 three"  # no transform at all

@@ -424,7 +424,9 @@ def test_brightness_goes_evenly_from_turn_to_turn(backend):
 def test_the_map_of_brightness():
     """Each sample stands for its direction; a function that is the same everywhere is a number."""
     side = 9
-    values = slices.brightness_of(sl.Sky(brightness=lambda L: 5 + L @ np.array([1.0, 2.0, 3.0])), side)
+    values = slices.stereographic_brightness(
+        sl.Sky(brightness=lambda L: 5 + L @ np.array([1.0, 2.0, 3.0])), side
+    )
     assert values.shape == (side, side)
     assert (
         values[4, 4] == pytest.approx(5 - 3)
@@ -436,9 +438,9 @@ def test_the_map_of_brightness():
     L = np.array([2 * u, 2 * v, -(1 - u * u - v * v)]) / (1 + u * u + v * v)
     assert values[6, 6] == pytest.approx(5 + L @ [1, 2, 3])
     assert (
-        slices.brightness_of(sl.Sky(brightness=lambda L: np.full(L.shape[:-1], 7.0)))
+        slices.stereographic_brightness(sl.Sky(brightness=lambda L: np.full(L.shape[:-1], 7.0)))
         == 7.0
-        == slices.brightness_of(sl.Sky(brightness=7))
+        == slices.stereographic_brightness(sl.Sky(brightness=7))
     )
 
 

@@ -366,9 +366,9 @@ def test_work_that_goes_in_groups_gives_the_same_bytes(backend, filled, monkeypa
         with monkeypatch.context() as patch:
             _with_memory(patch, engine, share * scene.depth.size)
             from skylamp.light.lattice import problem_of
-            from skylamp.light.propagation import Surface
+            from skylamp.light.propagation import LatticeMap
 
-            groups = Surface(engine, problem_of(engine, scene, SKY, sl.Hemicube(9), filled)).groups
+            groups = LatticeMap(engine, problem_of(engine, scene, SKY, sl.Hemicube(9), filled)).groups
             assert len(groups) > 4, "the work was not split, so this test says nothing"
             for got, expected in zip(lit(), whole):
                 assert_bits_equal(got, expected)

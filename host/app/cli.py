@@ -207,7 +207,7 @@ def _check_png(exposure: float | None, out: str, white: float | None, bits: int)
 def _by_tiles(
     file: Path,
     out: str,
-    work: out_of_core.Quantity,
+    work: out_of_core.Computation,
     machines: out_of_core.Machines,
     as_json: bool,
     **facts: Any,

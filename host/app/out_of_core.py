@@ -102,7 +102,7 @@ def checked_output(compatible: str, out: str | None, others: Iterable[Any]) -> s
     return out
 
 
-class Quantity(NamedTuple):
+class Computation(NamedTuple):
     """The quantity to compute, in how many bands; ``sign`` -1: of the surface upside down.
 
     ``settings``: the options in words; all that the bytes depend on besides the file and the tiles.
@@ -128,7 +128,7 @@ class Job(NamedTuple):
     file: Path
     scratch: Path
     layout: Layout
-    quantity: Quantity
+    quantity: Computation
     dtype: str = "float32"
     backend: str = ""
 
@@ -140,7 +140,7 @@ def horizon(
     max_distance: float | None,
     backend: str,
     spacing: float | None = None,
-) -> Quantity:
+) -> Computation:
     """One quantity of `skylamp horizon`."""
     options: dict[str, Any] = dict(azimuths=sectors_of(azimuths), backend=backend)
     works: dict[str, Any] = {
@@ -152,7 +152,7 @@ def horizon(
         raise bad("--what of a map in tiles", repr(what), " | ".join(works))
     settings = dict(what=what, definition=definition, azimuths=azimuths, max_distance=max_distance)
     sign = -1.0 if what.startswith("neg") else 1.0
-    return Quantity(works[what], Audit(backend), settings, max_distance, sign, spacing=spacing)
+    return Computation(works[what], Audit(backend), settings, max_distance, sign, spacing=spacing)
 
 
 def image(
@@ -163,7 +163,7 @@ def image(
     words: dict[str, Any],
     spacing: float | None = None,
     **options: Any,
-) -> Quantity:
+) -> Computation:
     """The image of `skylamp render`.
 
     ``words``: how the command line describes surface and source; ``options`` of :func:`skylamp.render`.
@@ -183,13 +183,13 @@ def image(
     settings = dict(words, **options)
     bands, between = 3 if work.in_colour else 1, work.between
     reach = options.get("max_distance")
-    return Quantity(
+    return Computation(
         work, work.audit, settings, reach, bands=bands, albedo=scene.albedo, between=between, spacing=spacing
     )
 
 
 def write_quantity(
-    file: Path, out: str, quantity: Quantity, machines: Machines, progress: Progress | None
+    file: Path, out: str, quantity: Computation, machines: Machines, progress: Progress | None
 ) -> tuple[tuple[int, ...], str]:
     """Compute one quantity of a GeoTIFF and write it.
 

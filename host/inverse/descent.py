@@ -12,7 +12,7 @@ from ..light.interreflection import Round
 from .albedo import AlbedoFit
 from .conjugate_gradients import ConjugateGradients, Depths
 from .forward import Image, Launcher, Surface
-from .ground import GROUND_RAYS, STRIPS, Ground
+from .ground import GROUND_RAYS, STRIPS, GroundLight
 from .lights import Light
 
 FIRST_DAMPING = 1e-4  # damping of the first step, as a multiple of the diagonal
@@ -67,7 +67,7 @@ class Descent:
         self.ground = None
         if radiances is not None:
             relief = float(np.max(high) - np.min(low))
-            self.ground = Ground(self.launcher, sides, self.images, radiances, relief, rays, strips)
+            self.ground = GroundLight(self.launcher, sides, self.images, radiances, relief, rays, strips)
         self.depths = Depths(
             [backend.empty((pixels,), np.float32) for _ in range(2)],
             backend.empty((pixels,), np.float32, 0),

@@ -23,7 +23,7 @@ GROUND_RAYS = Round(24, 1, 8, 0.18)  # as many azimuths as of a source
 STRIPS, MOST_LINKS = 8, 2**25
 
 
-class Ground:
+class GroundLight:
     """What the ground sends, for all images of a surface.
 
     ``radiances`` (rows, cols) of each image, in the unit of its model's brightness; ``relief`` [nodes];

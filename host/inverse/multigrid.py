@@ -33,7 +33,7 @@ CYCLES, MORE_UNDER_SKIES = 8, 2  # of a large grid; as many more under a sky, wh
 CYCLE_SMOOTHNESS = 3e-4  # of the first cycle
 SLOW = 0.01  # fall of the objective in a cycle below which it is the last
 
-Stiffness = tuple[float, ...]
+Continuation = tuple[float, ...]
 
 
 class Multigrid:
@@ -50,7 +50,7 @@ class Multigrid:
         self,
         level: int,
         z: np.ndarray,
-        stiffness: Stiffness,
+        continuation: Continuation,
         steps: int = STEPS,
         accuracy: tuple[float, float] | None = None,
     ) -> Solution:
@@ -58,7 +58,7 @@ class Multigrid:
         problem = self.pyramid.problem(level)
         least = self.pyramid.smoothness(level)
         solution = Solution(np.clip(z, *self.pyramid.bounds[level]), math.inf)
-        for smoothness in (*(s for s in stiffness if s > least), least):
+        for smoothness in (*(s for s in continuation if s > least), least):
             solution = problem.run(
                 solution.depth, smoothness, steps, ITERATIONS, *(accuracy or self.accuracy), self.pyramid.stop
             )

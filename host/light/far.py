@@ -112,7 +112,7 @@ class Tiling:
         return list(range(0, max(1, nodes - self.least + 1), self.tile))
 
 
-class Cells(NamedTuple):
+class LevelPart(NamedTuple):
     """A part of a level: heights (rows, cols), nan without data; its first cell; nodes along one."""
 
     heights: np.ndarray
@@ -140,7 +140,7 @@ class Far(NamedTuple):
     before: tuple[int, int]
     spread: int
     own: np.ndarray
-    levels: list[Cells]
+    levels: list[LevelPart]
     farthest: float
     periodic: bool = False
     drop: float = 0.0
@@ -218,7 +218,7 @@ def around(
     low: np.ndarray,
     top: Top,
     periodic: bool,
-) -> list[Cells]:
+) -> list[LevelPart]:
     """All levels about a tile, [length], in as small windows as are looked at.
 
     ``low``: means and maxima at level ``tiling.first`` from node ``begin`` on, of the tile and up to
@@ -229,7 +229,7 @@ def around(
         size = 1 << level
         room = 2 * tiling.rule + 2  # cells that rays pass in a level, and the next for interpolation
         if level < tiling.top:
-            levels.append(Cells(mixed(low), begin[0] // size, begin[1] // size, size))
+            levels.append(LevelPart(mixed(low), begin[0] // size, begin[1] // size, size))
             low = coarser(low)
             continue
         heights = top.levels[level - tiling.top]
@@ -238,7 +238,7 @@ def around(
             pick = np.arange(first // size - room, (first + count - 1) // size + room + 1)
             picks.append(pick if periodic else pick[(pick >= 0) & (pick < cells)])
         window = heights[np.ix_(*(pick % cells for pick, cells in zip(picks, heights.shape)))]
-        levels.append(Cells(window, int(picks[0][0]), int(picks[1][0]), size))
+        levels.append(LevelPart(window, int(picks[0][0]), int(picks[1][0]), size))
     return levels
 
 

@@ -31,7 +31,7 @@ CONE_POINTS = 32
 Cone = tuple[np.ndarray, float]  # its axis, a unit vector with z upwards, and the sine of its radius
 
 
-class Light(NamedTuple):
+class LineLight(NamedTuple):
     """A brightness; the cone outside of which it is 0, within which its points are taken; and the number of
     these over that of a single cone.
     """
@@ -41,7 +41,7 @@ class Light(NamedTuple):
     point_share: float = 1.0
 
 
-def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tuple[Light, ...]:
+def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tuple[LineLight, ...]:
     """What a brightness is the sum of: what is left without small bright parts, and what each adds to it."""
     parts = sorted(parts, key=lambda part: -part.limit)  # the brightest first: parts may lie within others
 
@@ -50,10 +50,10 @@ def lights_of(brightness: sources.Brightness, parts: Sequence[BrightPart]) -> tu
         light: np.ndarray = before - cut(before, [parts[n]], L)
         return light
 
-    rest = Light(partial(without, brightness, parts) if parts else brightness)
+    rest = LineLight(partial(without, brightness, parts) if parts else brightness)
     shares = _point_shares(np.array([part.power for part in parts]))
     return rest, *(
-        Light(partial(added, n=n, near=[p for p in parts[:n] if _meet(p, part)]), part.cone, shares[n])
+        LineLight(partial(added, n=n, near=[p for p in parts[:n] if _meet(p, part)]), part.cone, shares[n])
         for n, part in enumerate(parts)
     )
 
@@ -75,7 +75,7 @@ def _point_shares(power: np.ndarray) -> np.ndarray:
     return shares
 
 
-def _points_in_cone(light: Light, count: int) -> int:
+def _points_in_cone(light: LineLight, count: int) -> int:
     """Points in a light's cone where the line has ``count``."""
     return math.ceil(CONE_POINTS * count * light.point_share)
 
@@ -181,7 +181,7 @@ def _rays(
     return way[0] / flat, way[1] / flat, way[2] / flat, length * flat, light
 
 
-def at_samples(samples: Samples, quad: Quad, lights: Sequence[Light], count: int) -> np.ndarray:
+def at_samples(samples: Samples, quad: Quad, lights: Sequence[LineLight], count: int) -> np.ndarray:
     """Irradiance (nodes,) of a thin quadrangle [spacings], whose brightness is the sum of ``lights``.
 
     By exact rays to ``count`` points of its line, and more in a cone (:func:`_points_in_cone`): on so many
@@ -225,7 +225,7 @@ class LinePoints(HostImage):
 
     unit_name = "points"
 
-    def __init__(self, engine: Backend, scene: Scene, quad: Quad, lights: Sequence[Light], units: int):
+    def __init__(self, engine: Backend, scene: Scene, quad: Quad, lights: Sequence[LineLight], units: int):
         self.scene, self.quad, self.lights, self.units, self.ray_count = scene, quad, lights, units, 0
         self.samples = samples_of(engine, scene)
         self.slices = Slices(scene.on(engine), scene.sides, Dome())

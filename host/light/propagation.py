@@ -87,7 +87,7 @@ class OnDevice(NamedTuple):
         return self.host.bits
 
 
-class Surface:
+class LatticeMap:
     """A map on a device, to be scanned group by group of walks; one buffer of planes serves all groups."""
 
     laps: list[tuple[Array, int]]
@@ -191,7 +191,7 @@ class Surface:
         return self.planes
 
 
-class Light:
+class LatticeLight:
     """The sum over the visible directions, with all arrays on the device; ``run`` may be repeated.
 
     ``moments`` (D, 3), or one for each colour (C, D, 3): all are summed in one pass over visibility.
@@ -202,7 +202,7 @@ class Light:
 
     def __init__(
         self,
-        surface: Surface,
+        surface: LatticeMap,
         moments: np.ndarray,
         lobe: Lobe | None = None,
         weights: np.ndarray | None = None,
@@ -351,7 +351,7 @@ def visibility(backend: Backend, problem: Problem) -> np.ndarray:
     """Packed surface visibility (rows, cols, words) uint32."""
     words = -(-len(problem.steps) // 32)
     reserve(backend, 4 * words * problem.pixels, "Packed visibility", "Use a smaller hemicube or map.")
-    surface = Surface(backend, problem)
+    surface = LatticeMap(backend, problem)
     out = backend.empty((*problem.depth.shape, words), np.uint32, 0)
     for number, group in enumerate(surface.groups):
         maps = surface.scan(number), group.directions, out
@@ -369,11 +369,11 @@ def light(
     whole: np.ndarray | None = None,
     stays: bool = False,
 ) -> tuple[list[Any], list[np.ndarray]]:
-    """Irradiance, and the light that a lobe reflects, (rows, cols) float32 per colour; arguments: see Light.
+    """Irradiance, and the light that a lobe reflects, (rows, cols) float32 per colour.
 
-    ``stays``: irradiances are DeviceImages.
+    Arguments as of LatticeLight; ``stays``: irradiances are DeviceImages.
     """
-    light = Light(Surface(backend, problem), moments, lobe, weights, whole)
+    light = LatticeLight(LatticeMap(backend, problem), moments, lobe, weights, whole)
     light.run()
     if stays:
         return [DeviceImage(backend, array, problem.depth.shape) for array in light.sums], []
@@ -397,7 +397,7 @@ def carve(
     """Depth in layers (rows, cols) int32 by the inverse algorithm, from the depth 0 of the ``problem`` on;
     arguments as of skylamp.oracle.carve.
     """
-    surface = Surface(backend, problem, relief=float(layers))
+    surface = LatticeMap(backend, problem, relief=float(layers))
     pixels = problem.pixels
     light, side = (backend.empty((pixels,), np.int32, 0) for _ in range(2))
     bounds = [backend.upload(a.astype(np.int32).ravel()) for a in (low, high)]

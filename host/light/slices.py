@@ -53,7 +53,7 @@ MOST_SEARCHED = 2**24  # [spacing], how far rays look there at most: float32 hol
 CHORD_AZIMUTHS, CHORD_KNOTS = 1024, 4097
 
 
-def brightness_of(source: Source, side: int = BRIGHTNESS_SIDE) -> float | np.ndarray:
+def stereographic_brightness(source: Source, side: int = BRIGHTNESS_SIDE) -> float | np.ndarray:
     """A source's brightness as Slices takes it for a lobe: a number where it is uniform, else (side, side).
 
     Row j, column i: the direction whose stereographic projection x / (1 - z), y / (1 - z) is 2 i / (side - 1)
@@ -84,7 +84,7 @@ def blurred(
     across; it is given as a unit vector with brightness x solid angle for each of these.
     """
     suns: tuple[np.ndarray, np.ndarray] = np.zeros((0, 3)), np.zeros(0)
-    fine = brightness_of(source, LOBE_SAMPLES)
+    fine = stereographic_brightness(source, LOBE_SAMPLES)
     if not isinstance(fine, np.ndarray):
         return fine, *suns
     u = np.linspace(-1, 1, LOBE_SAMPLES)
@@ -132,7 +132,7 @@ class Slices:
     ):
         """``there``: the map; ``solid`` is in its unit, in which the spacing is ``there.step``.
 
-        ``brightness``: a number; else the result of :func:`brightness_of` with a lobe, and of
+        ``brightness``: a number; else the result of :func:`stereographic_brightness` with a lobe, and of
         ``Integrals.chords`` without one. ``most``: slices of a source that surrounds a
         node, a multiple of 8; one that looks small has a quarter of them, half if it is a quadrangle, but at
         least 8, and others a number between. ``lobe``: light is weighted by it, and its width gives the

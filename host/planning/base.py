@@ -309,7 +309,8 @@ def undefined_light(source: sources.Source, gap: float) -> list[str]:
 
 
 def _touches(source: sources.Source) -> str:
-    return f"The {'window' if isinstance(source, sources.Window) else 'lamp'} touches the surface:"
+    is_window = isinstance(source, sources.Window)
+    return "The window touches the surface:" if is_window else "The lamp touches the surface:"
 
 
 def gap_below(scene: Scene, source: sources.Source, engine: Backend) -> float:

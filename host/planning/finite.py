@@ -18,7 +18,7 @@ from ..directions import Hemicube
 from ..light import unoccluded
 from ..light.base import LightMethod
 from ..light.finite import LAMP_SAMPLES, MOST_RAY_EVALUATIONS, RAY_COUNTS, Sliced, most_rays, solid_of
-from ..light.line import Light, LinePoints, at_samples, lights_of, line_of
+from ..light.line import LineLight, LinePoints, at_samples, lights_of, line_of
 from ..light.slices import outline, widened
 from ..light.unoccluded import ClosedForm
 from ..radiometry import point_error
@@ -326,7 +326,7 @@ class LinePlanner(FinitePlanner):
     points of the line through its middle.
     """
 
-    lights: tuple[Light, ...]  # that its brightness is the sum of
+    lights: tuple[LineLight, ...]  # that its brightness is the sum of
     by_points: dict[int, np.ndarray]  # light at the samples by numbers of points
     parts_taken = "points of the line within each, besides those along all of it"
     why_units = "it is a line to every node"

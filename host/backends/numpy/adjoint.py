@@ -320,7 +320,7 @@ def sky(
     _finish(light, gx, gy, inverse, total, by_own, by_x, by_y)
 
 
-class Slices(NamedTuple):
+class LampSlices(NamedTuple):
     """One slice of a lamp per node, and the slopes between which the lamp stands in it.
 
     Each field is a number or one per node. ``low_by`` and ``high_by`` are derivatives by the own depth.
@@ -340,7 +340,7 @@ class Slices(NamedTuple):
 
 def _ball_slices(
     node: np.ndarray, frames: np.ndarray, solid: np.ndarray, own: np.ndarray, count: int
-) -> Slices:
+) -> LampSlices:
     """The slices of a ball; ``node``: sine and cosine of a midpoint of -pi/2..pi/2, and of one all round."""
     sine, cosine, c, s = node
     ux, uy, extent, _ = frames.T
@@ -363,7 +363,7 @@ def _ball_slices(
     low_by = np.where(~inside & (low_c > 0), square / (low_c * tangent), f32(0))
     high_by = np.where(~inside & (high_c > 0), square / (high_c * tangent), f32(0))
     low, high = np.where(inside, -STEEP, low), np.where(inside, STEEP, high)
-    return Slices(c, s, width, low, high, low_by, high_by, np.maximum(along, half), along + half)
+    return LampSlices(c, s, width, low, high, low_by, high_by, np.maximum(along, half), along + half)
 
 
 def _quadrangle_slices(
@@ -375,7 +375,7 @@ def _quadrangle_slices(
     x: np.ndarray,
     y: np.ndarray,
     count: int,
-) -> Slices:
+) -> LampSlices:
     """The slices number ``k`` of a quadrangle with the corners ``solid``; ``node`` as for a ball."""
     ux, uy, extent, _ = frames.T
     t = extent * (f32(2 * k + 1) / f32(count) - 1)
@@ -407,11 +407,11 @@ def _quadrangle_slices(
     some = met > 0
     low, high = np.where(some, least, f32(1)), np.where(some, most, f32(0))
     low_by, high_by = np.where(some, least_by, f32(0)), np.where(some, most_by, f32(0))
-    return Slices(c, s, width, low, high, low_by, high_by, reach, reach)
+    return LampSlices(c, s, width, low, high, low_by, high_by, reach, reach)
 
 
 def _lower_limit(
-    slices: Slices,
+    slices: LampSlices,
     ways: Ways,
     tilt: np.ndarray,
     own: np.ndarray,

@@ -21,7 +21,7 @@ SLICES_PER_BATCH = 2**15  # slices
 
 Values = Any  # one per node, or one for all
 Nodes = TypeVar("Nodes", "Disc", "Frame")
-Surface = tuple[
+NodeArrays = tuple[
     np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray
 ]  # x, y, height, tilt_x, tilt_y, mirror_x, mirror_y, mirror_z
 
@@ -79,7 +79,7 @@ class Pixels(NamedTuple):
         return Pixels._make((*(value[which] for value in self[:10]), self.radius))
 
 
-def _pixels(heights: np.ndarray, rows: int, cols: int) -> Surface:
+def _pixels(heights: np.ndarray, rows: int, cols: int) -> NodeArrays:
     """Of every node with ground, flat."""
     grid = heights[: (rows + 2) * (cols + 1)].reshape(rows + 2, cols + 1)
     y, x = np.nonzero(grid[1:-1, 1:] > NONE)
