@@ -203,7 +203,7 @@ def lamp(
     light: np.ndarray
     if isinstance(solid, Ball):
         center = np.array(solid.center, np.float32)
-        to = center[0] - x, center[1] - y, center[2] - height
+        to = _outside((center[0] - x, center[1] - y, center[2] - height), (gx * up, gy * up, up), solid)
         light, rays = _ball(gx, gy, to, up, solid), _rays_to_ball(solid, to, rays_per_node)
     else:
         light = _quadrangle(gx, gy, x, y, height, up, solid)
@@ -226,19 +226,30 @@ def lamp(
     return image
 
 
+def _outside(to: Vector, normal: Vector, ball: Ball) -> Vector:
+    """``to``, the vectors to a ball's centre; for nodes within it one along their normals, since a ball that
+    such a node touches from below fills its hemisphere too.
+    """
+    radius = np.float32(ball.radius)
+    within = to[0] ** 2 + to[1] ** 2 + to[2] ** 2 < radius * radius
+    if not np.any(within):
+        return to
+    x, y, z = (np.where(within, radius * own, other) for own, other in zip(normal, to))
+    return x, y, z
+
+
 def _ball(gx: Values, gy: Values, to: Vector, up: Values, ball: Ball) -> np.ndarray:
     """Irradiance by a ball of brightness 1, ``to`` the vectors to its centre; ``up`` the normals' z.
 
     pi (R / d)^2 cos where it lies wholly above the plane, else the closed form of the part above it (Howell,
-    Menguc, Daun and Siegel 2020, factor B-43); pi at nodes within it.
+    Menguc, Daun and Siegel 2020, factor B-43).
     """
     far = np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
-    within, far = far < np.float32(ball.radius), np.maximum(far, np.float32(ball.radius))
     cosine = (to[0] * gx + to[1] * gy + to[2]) * up / far
     ratio = np.float32(ball.radius) / far
     light: np.ndarray = np.pi * ratio**2 * cosine
-    cut = np.flatnonzero(((np.abs(cosine) < ratio) & ~within).ravel())
-    light = np.where(within, np.float32(np.pi), np.where(cosine < 0, 0, light))
+    cut = np.flatnonzero((np.abs(cosine) < ratio).ravel())
+    light = np.where(cosine < 0, 0, light)
     if not cut.size:
         return light
     c, r = (np.broadcast_to(v, light.shape).ravel()[cut].astype(float) for v in (cosine, ratio))
@@ -353,8 +364,7 @@ def _rays_to_ball(ball: Ball, to: Vector, count: int) -> Iterator[tuple[Vector, 
     if count == 1:
         yield to, 1.0
         return
-    flat = np.sqrt(to[0] ** 2 + to[1] ** 2)
-    far = np.maximum(np.sqrt(flat**2 + to[2] ** 2), 1e-9)
+    flat, far = np.sqrt(to[0] ** 2 + to[1] ** 2), np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
     c, s, rise = to[0] / np.maximum(flat, 1e-9), to[1] / np.maximum(flat, 1e-9), -to[2] / far
     rings = max(1, round(math.sqrt(count) / 2))
     for number, (area, weight) in enumerate(_gauss(rings)):
