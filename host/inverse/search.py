@@ -135,7 +135,8 @@ def start_flat(search: Search) -> None:
     """
     pyramid, coarsest = search.pyramid, search.pyramid.coarsest
     problem, shares, values = pyramid.problem(coarsest), _shares(pyramid), list[float]()
-    for share in shares:
+    # from the middle on: where time ends on the way, the best so far is none at the bounds
+    for share in (shares := shares[np.argsort(np.abs(shares - 0.5), kind="stable")]):
         values.append(problem.value(search.flat(share, coarsest), 0))
         if pyramid.stop():
             break
@@ -331,6 +332,7 @@ def compare(search: Search) -> None:
         search.check_time()
         if other.objective < followed:
             search.answers.append(refine(other.depth, level, search.level, accept=False))
+    search.check_time()  # an answer that was cut is of a coarser grid
     join(search)
 
 

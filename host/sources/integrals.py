@@ -101,6 +101,14 @@ class Cells(NamedTuple):
         return angle
 
     @property
+    def are_needles(self) -> np.ndarray:
+        """Which are less than half as wide as high, as round the zenith, where they are divided in height
+        alone: else parts would be so narrow that a light lies in many of them and between their middles.
+        """
+        needles: np.ndarray = self.width * np.cos(self.low) < (self.high - self.low) / 2
+        return needles
+
+    @property
     def moments(self) -> np.ndarray:
         """Integrals of B cos^2 and of B sin cos over azimuth and elevation: (2, n)."""
         per_width = antiderivatives(self.high) - antiderivatives(self.low)
@@ -362,7 +370,9 @@ class Integrals:
                 leaves.add(self._leaf(cells.pick(rest), step[rest]), step[rest])
                 cells, step = cells.pick(first), step[first]
             evaluations -= len(step) * per_cell
-            cells, step = self._parts(cells)
+            needles = cells.are_needles
+            parts = [self._parts(cells.pick(~needles)), self._parts(cells.pick(needles), across=1)]
+            cells, step = _joined(part for part, _ in parts), np.concatenate([step for _, step in parts])
             divide = (step > ROUGH_SHARE * leaves.light_with(cells)) | _near(cells, peaks)
             leaves.add(self._leaf(cells.pick(~divide), step[~divide]), step[~divide])
             cells, step = cells.pick(divide), step[divide]
@@ -407,14 +417,17 @@ class Integrals:
             band.light[...] = np.maximum(0, band.light + correction)
         return _joined([cells for cells, _ in begin]), np.concatenate([step for _, step in begin]), variance
 
-    def _parts(self, cells: Cells, is_linear: bool = False) -> tuple[Cells, np.ndarray]:
-        """The CELL_PARTS x CELL_PARTS parts of each cell, and their second differences times solid angle.
+    def _parts(
+        self, cells: Cells, is_linear: bool = False, across: int = CELL_PARTS
+    ) -> tuple[Cells, np.ndarray]:
+        """The CELL_PARTS x ``across`` parts of each cell, and their second differences times solid angle.
 
         ``is_linear``: the mean over a part is its middle by solid angle, as of a map's pixels, whose borders
         they share. That lies h^2 tan(elevation) / 12 below the middle of its height h.
         """
-        place = (np.arange(-1, CELL_PARTS + 1) + 0.5) / CELL_PARTS  # with a neighbour on every side
-        azimuth = cells.azimuth[:, None] + cells.width[:, None] * (place - 0.5)
+        # with a neighbour on every side
+        place, places = ((np.arange(-1, count + 1) + 0.5) / count for count in (CELL_PARTS, across))
+        azimuth = cells.azimuth[:, None] + cells.width[:, None] * (places - 0.5)
         low, height = cells.low[:, None], (cells.high - cells.low)[:, None]
         edges = low + height * (np.arange(CELL_PARTS + 1) / CELL_PARTS)
         elevation = np.clip(low + height * place, 0, math.pi / 2)
@@ -422,13 +435,13 @@ class Integrals:
             height = height / CELL_PARTS
             elevation -= np.minimum(height**2 * np.tan(elevation) / 12, height / 6)
         sine = np.sin(elevation)
-        sampled = np.empty((len(sine), CELL_PARTS + 2, CELL_PARTS + 2))
+        sampled = np.empty((len(sine), CELL_PARTS + 2, across + 2))
         for some in np.array_split(np.arange(len(sine)), sampled.size // EVALUATION_BATCH + 1):
             sampled[some] = self._radiance(azimuth[some, None, :], sine[some, :, None])
         step, correction = _second_differences(sampled)
         light, azimuth = sampled[:, 1:-1, 1:-1], azimuth[:, 1:-1]
         light = np.where(is_linear | (step > ROUGH * light), light, np.maximum(0, light + correction))
-        width, base = cells.width[:, None, None] / CELL_PARTS, cells.base[:, None, None]
+        width, base = cells.width[:, None, None] / across, cells.base[:, None, None]
         values = azimuth[:, None, :], width, edges[:, :-1, None], edges[:, 1:, None], light, base
         parts = Cells(*(np.broadcast_to(part, light.shape).ravel() for part in values))
         return parts, step.ravel() * parts.solid_angle
@@ -703,9 +716,10 @@ def _of_function(function: Any, named: bool) -> list[Band]:
     count, around = (COARSE_ROWS, COARSE_COLS) if named else (ROWS, COLS)
     borders = np.linspace(0, math.pi / 2, count + 1)
     middle = (borders[1:] + borders[:-1]) / 2
-    level = np.minimum(np.floor(-np.log2(np.cos(middle))).astype(int), 4)
+    halvings = (around & -around).bit_length() - 1  # so many that 9 cells are round the zenith
+    level = np.minimum(np.floor(-np.log2(np.cos(middle))).astype(int), halvings)
     bands, sky = [], sources.Sky(function)
-    for n in range(5):
+    for n in range(halvings + 1):
         rows, cols = np.flatnonzero(level == n), around >> n
         # every row starts farther on, so that no border in azimuth runs along cells
         start, turned = 2 * math.pi / cols * (GOLDEN * rows % 1), 2 * math.pi / cols * np.arange(cols)
@@ -865,8 +879,10 @@ def _near(cells: Cells, peaks: Peaks) -> np.ndarray:
     is_near = np.zeros(len(cells.light), bool)
     for azimuth, elevation in peaks:
         turned = np.abs((cells.azimuth - azimuth + math.pi) % (2 * math.pi) - math.pi)
-        raised = np.abs((cells.low + cells.high) / 2 - elevation)
-        is_near |= (turned <= 1.5 * cells.width) & (raised <= 1.5 * (cells.high - cells.low))
+        raised, height = np.abs((cells.low + cells.high) / 2 - elevation), cells.high - cells.low
+        beside = turned <= 1.5 * cells.width
+        beside |= cells.are_needles & (turned * math.cos(elevation) <= 1.5 * height)
+        is_near |= beside & (raised <= 1.5 * height)
     return is_near
 
 
