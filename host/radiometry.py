@@ -219,6 +219,7 @@ def rectangle_solid_angle(u0: Values, u1: Values, v0: Values, v1: Values, distan
 
     The foot of the perpendicular is (u, v) = (0, 0). Arguments broadcast; lengths in one unit.
     """
+    u0, u1, v0, v1, distance = (np.asarray(value, float) for value in (u0, u1, v0, v1, distance))
 
     def corner(u: Values, v: Values) -> Values:
         return np.arctan2(u * v, distance * np.sqrt(u * u + v * v + distance * distance))

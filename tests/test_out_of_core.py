@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,33 @@ def test_a_file_is_computed_as_a_lazy_map_is(dem, tmp_path):
         assert np.array_equal(np.isnan(found), np.isnan(heights))
         assert_bits_equal(np.nan_to_num(found), np.nan_to_num(lazily(heights, work, **options)))
         assert sorted(os.listdir(tmp_path)) == ["out.tif"]
+
+
+def test_json_holds_the_warnings_of_tiles(monkeypatch, capsys):
+    """As of other commands; they were on stderr alone, where a log of many files does not see them."""
+
+    def write(*given):
+        warnings.warn("Tolerance: far ground", stacklevel=1)
+        return (2, 3), "opencl:0:0"
+
+    monkeypatch.setattr(out_of_core, "write_quantity", write)
+    with pytest.warns(UserWarning, match="far ground"):
+        cli._by_tiles(Path("in.tif"), "out.tif", None, None, True)
+    assert json.loads(capsys.readouterr().out)["warnings"] == ["Tolerance: far ground"]
+
+
+def test_an_interrupt_before_any_tile_promises_none(dem, tmp_path, monkeypatch, capsys):
+    """There is nothing to resume, and no folder."""
+
+    def interrupted(machines):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(out_of_core, "workers_of", interrupted)
+    machines = out_of_core.Machines("3GB", 1, None, TILE, False, False)
+    quantity = out_of_core.horizon("openness", "tilted", 8, None, "numpy")
+    with pytest.raises(KeyboardInterrupt):
+        out_of_core.write_quantity(dem[0], str(tmp_path / "out.tif"), quantity, machines, None)
+    assert not capsys.readouterr().err and not list(tmp_path.glob("out*"))
 
 
 def test_heights_far_above_zero_keep_their_relief(tmp_path):

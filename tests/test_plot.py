@@ -176,6 +176,8 @@ def test_panels(fast):
     assert shown[-1].get_clim() == (0, 0.9) and len(shown) == 4
     with pytest.raises(sl.InputError, match="plot.recovery: image"):
         plot.recovery(image[1:], found)
+    with pytest.raises(sl.InputError, match="plot.recovery: image"):
+        plot.recovery("a", found)
 
 
 @pytest.mark.parametrize(
@@ -192,6 +194,8 @@ def test_panels(fast):
         (lambda f, s: plot.save(None, "a.jpg"), ".png .svg .pdf"),
         (lambda f, s: plot.save(None, "no/a.png"), "no folder no"),
         (lambda f, s: plot.save(None, "a.png", dpi=0), "dpi: got 0"),
+        (lambda f, s: plot.save(None, "a.png", dpi=1e9), "dpi: got 1000000000.0; allowed: at most 10000"),
+        (lambda f, s: plot.field(3), "field: got int"),
     ],
 )
 def test_errors(valley, work, says, tmp_path, monkeypatch):

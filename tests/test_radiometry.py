@@ -39,6 +39,7 @@ def test_solid_angles():
     x0, x1, y0, y1, d = -1.0, 2.5, 0.3, 4.0, 1.7
     corners = np.array([[x0, y0, d], [x1, y0, d], [x1, y1, d], [x0, y1, d]])
     assert abs(r.polygon_solid_angle(corners) - r.rectangle_solid_angle(x0, x1, y0, y1, d)) < 1e-12
+    assert r.rectangle_solid_angle([x0], [x1], [y0], [y1], [d]) == r.rectangle_solid_angle(x0, x1, y0, y1, d)
     assert abs(r.polygon_solid_angle(corners[::-1]) - r.polygon_solid_angle(corners)) < 1e-12
     normal, eye = unit(1, 2, 2), np.array([30.0, 10, 80])
     u = np.cross(normal, [1, 0, 0])

@@ -8,7 +8,6 @@ input, 4 backend unavailable, 1 the rest. An error is one line; --debug adds the
 from __future__ import annotations
 
 import csv
-import json
 import logging
 import os
 import sys
@@ -163,8 +162,8 @@ def _write_image(
     """Write an image, and its error if that is asked for, and report them; ``options`` of a PNG."""
     if error is not None and done.error is None:
         raise typer.BadParameter(
-            "an error is estimated of rho E / pi within a tolerance: it requires an albedo above 0 and"
-            " --method auto, without --hemicube and --stride",
+            "the error is estimated where a tolerance chooses the method, of diffuse light: it requires"
+            " --method auto without --hemicube, --stride and --azimuths, and an albedo above 0",
             param_hint="--error",
         )
     image = done.image if exposure is None else io.tone_mapped(done.image, exposure)
@@ -213,9 +212,9 @@ def _by_tiles(
     **facts: Any,
 ) -> None:
     """Compute and write a quantity of a GeoTIFF tile by tile, and report it."""
-    with output.progress_bar("computing tiles") as progress:
+    with output.warnings_told() as told, output.progress_bar("computing tiles") as progress:
         shape, backend = out_of_core.write_quantity(file, out, work, machines, progress)
-    output.report_array_or_picture(out, None, as_json, backend, shape=shape, **facts)
+    output.report_array_or_picture(out, None, as_json, backend, shape=shape, warnings=told, **facts)
 
 
 @app.command(epilog=epilog("plan"))
@@ -549,7 +548,7 @@ def doctor(as_json: opt.Json = False, quiet: opt.Quiet = False) -> None:
     """Print versions, devices, caches and free memory as JSON, for bug reports; with --json in one line."""
     with output.progress_bar("looking for devices"):
         report = examined()
-    print(json.dumps(report, indent=None if as_json else 1))
+    output.print_json(report, None if as_json else 1)
 
 
 @app.command(epilog=epilog("selftest"))

@@ -206,24 +206,25 @@ def write_quantity(
     scratch = Path(out).absolute().with_name(Path(out).name + ".scratch")  # workers have another folder
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     with locked(scratch):
-        with workers_of(machines) as client:
-            layout = layout_of_map(
-                Tiling(side or machines._replace(workers=len(client.nthreads())).side),
-                header.values.shape,
-                header.spacing,
-                False,
-                quantity.max_distance,
-                quantity.audit,
-                quantity.between,
-            )
-            names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
-            job = Job(file.resolve(), scratch, layout, quantity, dtype, names)
-            try:
+        try:
+            with workers_of(machines) as client:
+                layout = layout_of_map(
+                    Tiling(side or machines._replace(workers=len(client.nthreads())).side),
+                    header.values.shape,
+                    header.spacing,
+                    False,
+                    quantity.max_distance,
+                    quantity.audit,
+                    quantity.between,
+                )
+                names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
+                job = Job(file.resolve(), scratch, layout, quantity, dtype, names)
                 group = run(job, client, machines.resume, progress)
-            except KeyboardInterrupt:
+            write(out, group["values"], header, machines.cog)
+        except KeyboardInterrupt:
+            if scratch.exists():
                 typer.echo(f"Interrupted: finished tiles are in {scratch}; --resume continues.", err=True)
-                raise
-        write(out, group["values"], header, machines.cog)
+            raise
         discard(scratch)
     bands = () if quantity.bands == 1 else (quantity.bands,)
     return (*bands, *header.values.shape), names

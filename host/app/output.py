@@ -7,6 +7,7 @@ import dataclasses
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,23 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
             yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+@contextlib.contextmanager
+def warnings_told() -> Iterator[list[str]]:
+    """The texts of Python's warnings within, which are shown as usual."""
+    told: list[str] = []
+    show = warnings.showwarning
+
+    def note(message: Warning | str, *where: Any, **more: Any) -> None:
+        told.append(str(message))
+        show(message, *where, **more)
+
+    warnings.showwarning = note
+    try:
+        yield told
+    finally:
+        warnings.showwarning = show
+
+
 def console(stderr: bool = False) -> Console:
     """A console for tables, as wide as the terminal, or of a fixed width where there is none.
 
@@ -206,9 +224,9 @@ def report_array_or_picture(
         message(f"{picture}: drawn, by {backend}")
 
 
-def print_json(value: object) -> None:
+def print_json(value: object, indent: int | None = None) -> None:
     """``value`` as one JSON object on stdout; dataclasses are dicts of their fields."""
-    print(json.dumps(value, default=_plain))
+    print(json.dumps(value, indent=indent, default=_plain))
 
 
 def _plain(value: Any) -> Any:

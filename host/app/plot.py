@@ -20,6 +20,7 @@ from ..directions import angles_on
 from ..errors import bad, import_extra
 from ..horizon import horizon_at
 from ..inverse.recover import Recovery
+from ..io.files import numbers
 from ..io.paths import StrPath, destination, replacing
 from ..scene import Scene, is_scene
 from ..sources.cie import CieSky
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.projections.polar import PolarAxes
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+MOST_DPI = 10_000  # chosen: such a figure has 1e9 pixels and more
 DISCS = 12  # along the longer side of a section, unless asked otherwise
 RADIUS = 0.42  # of a disc, as a share of the distance between discs
 GREYS = "0.2", "0.72"  # black, and the brightest surface; the source is white
@@ -52,6 +54,8 @@ def field(
     installed.
     """
     matplotlib = _matplotlib()
+    if not isinstance(field, VisibilityField):
+        raise bad("plot.field: field", type(field).__name__, "what skylamp.visibility_field returned")
     rows, cols = field.scene.shape
     row = whole_number(rows // 2 if row is None else row, "plot.field: row", 0, rows - 1)
     depth = field.depth[row]
@@ -243,7 +247,7 @@ def recovery(image: ArrayLike, found: Recovery, truth: ArrayLike | None = None) 
     _matplotlib()
     if not isinstance(found, Recovery):
         raise bad("plot.recovery: found", type(found).__name__, "what skylamp.recover returned")
-    image, depth = np.asarray(image), np.asarray(found.depth)
+    image, depth = numbers(image, "plot.recovery: image"), np.asarray(found.depth)
     depths = [depth] if truth is None else [depth, np.asarray(truth)]
     nearest, farthest = np.nanmin([np.nanmin(z) for z in depths]), np.nanmax([np.nanmax(z) for z in depths])
     scale = dict(cmap="viridis_r", vmin=nearest, vmax=farthest)
@@ -388,9 +392,11 @@ def _round_length(most: float) -> float:
 def save(figure: Figure, path: StrPath, dpi: float = 120) -> Path:
     """Write a figure as .png, .svg or .pdf, whole or not at all.
 
-    Raises InputError for another extension, no such folder, or a ``dpi`` that is no positive number.
+    Raises InputError for another extension, no such folder, or a ``dpi`` that is no number from 0 to 10,000.
     """
     path, dpi = drawable(path), positive_number(dpi, "dpi")
+    if dpi > MOST_DPI:
+        raise bad("dpi", dpi, f"at most {MOST_DPI}")
     if not hasattr(figure, "savefig"):
         raise bad("plot.save: figure", type(figure).__name__, "a figure of matplotlib")
     suffix = path.suffix.lower()
