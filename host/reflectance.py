@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .arrays import labels_of
 from .checks import at, number_or_nan, real_array
@@ -242,6 +243,28 @@ def _shown_face(w: np.ndarray, rise: float) -> tuple[np.ndarray, np.ndarray]:
     x, z = w[..., 0], np.maximum(w[..., 2], 1e-12)
     facing = np.maximum(0.0, z - rise * x)
     return facing, np.where(x < 0, np.minimum(1.0, 2 * z / (rise * np.abs(x) + z)), 1.0)
+
+
+def phong_printed(
+    irradiance: ArrayLike,
+    radiance: ArrayLike,
+    offset: ArrayLike,
+    albedo: float = 0.5,
+    specular: float = 0.3,
+    exponent: float = 20.0,
+) -> np.ndarray:
+    """The Phong model as lecture notes and textbooks print it: albedo E + specular L cos^n(offset).
+
+    ``irradiance`` E, ``radiance`` L of the source in the mirror direction, ``offset`` [rad] from there to the
+    viewer; they broadcast. The result is neither a radiance nor bounded: it lacks the 1 / pi of a Lambertian
+    surface, so that an albedo above 1 / pi gives more than it gets, and its lobe is not normalised. For
+    comparison with such sources; :class:`Phong` is what scenes take.
+
+    Example: ``phong_printed(np.pi, 0.0, 0.0, albedo=1.0)`` is pi, where white ground shows 1.
+    """
+    lobe = np.maximum(0.0, np.cos(np.asarray(offset))) ** exponent
+    sent: np.ndarray = albedo * np.asarray(irradiance) + specular * np.asarray(radiance) * lobe
+    return sent
 
 
 def mirror_directions(tilt_x: np.ndarray, tilt_y: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ from .images import (
 )
 from .interreflection import CHECKED, Interreflection, included, is_needed, reason, share_everywhere
 from .light import lattice, propagation, unoccluded
-from .light.finite import left_below, solid_of
+from .light.finite import WINDOWED_PART, add_bright_parts, left_below, solid_of
 from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import (
@@ -232,7 +232,7 @@ class Renderer:
         self.plans.append(plan)
         if isinstance(grey, sources.Sky):
             return _sky_above_horizons(scene, grey, engine, azimuths, max_distance, self.on_device)
-        return _by_slices(scene, grey, engine, plan, self.on_device)
+        return _by_slices(scene, grey, engine, plan, self.on_device, float(self.options.tolerance))
 
     def _plan_as_asked(self) -> None:
         options = self.options
@@ -569,19 +569,30 @@ def _sky_above_horizons(
 
 
 def _by_slices(
-    scene: Scene, source: sources.Lamp | sources.Window, engine: Backend, plan: Plan, on_device: bool
+    scene: Scene,
+    source: sources.Lamp | sources.Window,
+    engine: Backend,
+    plan: Plan,
+    on_device: bool,
+    tolerance: float,
 ) -> Irradiance:
-    """A lamp or window in as many slices as planned: (rows, cols) float32; ``on_device``: a DeviceImage."""
+    """A lamp or window in as many slices as planned: (rows, cols) float32; ``on_device``: a DeviceImage.
+
+    ``tolerance``: of the light of small bright parts behind a window, which get sectors of their own.
+    """
     assert plan.azimuths is not None, "a plan of slices says how many"
-    brightness = (
-        integrals(sources.Sky(source.brightness), np.inf, True).chords(CHORD_AZIMUTHS, CHORD_KNOTS)
-        if callable(source.brightness)
-        else sources.number_of(source)
-    )
+    brightness: float | np.ndarray = sources.number_of(source)
+    sky = None
+    if callable(source.brightness):
+        apart = (tolerance, True, WINDOWED_PART) if isinstance(source, sources.Window) else (math.inf, True)
+        sky = integrals(sources.Sky(source.brightness), *apart)
+        brightness = sky.chords(CHORD_AZIMUTHS, CHORD_KNOTS)
     slices, scale = _slices(scene, source, engine, plan.azimuths, brightness)
     if slices is None:
         return np.zeros(scene.shape, np.float32)
     slices.run()
+    if sky is not None:
+        add_bright_parts(slices, sky, plan.azimuths)
     if on_device:
         irradiance = DeviceImage(engine, slices.image, scene.shape, held=slices)
         irradiance.scale(scale, 0.0)  # a difference of sums may round to less than 0

@@ -14,6 +14,8 @@ carve: light += sum over set bits of the weights; after the last group of walks 
   active   (1)                 int    in, out: how many columns went down (a sum of ones: order-free)
 
 Work-item p owns pixel p. Twin of warp_kernels/carve.py. */
+#pragma OPENCL FP_CONTRACT OFF
+
 __kernel void carve(__global const uchar *planes, __global const int *weights, __global int *light,
                     __global const int *low, __global const int *high, __global int *side,
                     __global float *depth, __global int *active, int pixels, int room, int n_walks,

@@ -21,7 +21,6 @@ number of rays, on the eight surfaces under the uniform and the sunny sky, and h
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 import time
@@ -32,6 +31,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from record import write_rows
 
 import skylamp as sl
 from skylamp import interreflection
@@ -315,10 +315,7 @@ def main():
                         f" {row['added over direct']:.1f}{'  (warned)' if row['warned'] else ''}",
                         flush=True,
                     )
-    with open(arguments.out / "interreflection.csv", "w", newline="") as file:
-        table = csv.DictWriter(file, rows[0])
-        table.writeheader()
-        table.writerows(rows)
+    write_rows(arguments.out / "interreflection.csv", rows, backend=arguments.backend)
     picture(arguments.out / "interreflection.png", arguments.backend)
 
 

@@ -16,7 +16,6 @@ and path_tracer.png, one scene at three albedos: direct light, all light, the pa
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import sys
 import tempfile
@@ -27,6 +26,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+import record
 
 import skylamp as sl
 
@@ -163,10 +163,7 @@ def main():
             if name == "folds":
                 shown.append((albedo, direct, image, light))
     arguments.out.mkdir(parents=True, exist_ok=True)
-    with open(arguments.out / "path_tracer.csv", "w", newline="") as file:
-        table = csv.DictWriter(file, rows[0])
-        table.writeheader()
-        table.writerows(rows)
+    record.write_rows(arguments.out / "path_tracer.csv", rows, backend=arguments.backend)
     figure, axes = plt.subplots(3, 3, figsize=(9, 9.2), constrained_layout=True)
     for column, (albedo, *images) in zip(axes.T, shown):
         for axis, image, title in zip(column, images, ("direct light", "all light", "Mitsuba 3")):

@@ -10,12 +10,12 @@ table and writes plans.csv, or what --name says.
 """
 
 import argparse
-import csv
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import record
 
 import skylamp as sl
 from skylamp import sources
@@ -357,15 +357,6 @@ def print_row(row) -> None:
     print(shown + ("  MISS" if row["over"] > 1 else ""), flush=True)
 
 
-def write_rows(path, rows, about: str = "") -> None:
-    """A CSV file; ``about`` is its first line, if given."""
-    with open(path, "w", newline="") as file:
-        file.write(f"{about}\n" if about else "")
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("."))
@@ -383,7 +374,7 @@ def main():
         rows += run(scene, light, args.size, args.backend, args.times)
         for row in rows[-len(TOLERANCES) :]:
             print_row(row)
-        write_rows(args.out / f"{args.name}.csv", rows)  # what is done so far
+        record.write_rows(args.out / f"{args.name}.csv", rows, backend=args.backend)  # what is done so far
     for tolerance in TOLERANCES:
         some = [row for row in rows if row["tolerance"] == tolerance]
         text = (

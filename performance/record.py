@@ -1,5 +1,6 @@
 """Where and when a measurement was made: every script that writes data writes this with it."""
 
+import csv
 import datetime
 import os
 import platform
@@ -43,3 +44,12 @@ def comment(more: str = "", backend: str = "auto") -> str:
     """The same as the first line of a CSV."""
     said = "; ".join(f"{name}: {value}" for name, value in facts(backend).items())
     return f"# {said}; {more}" if more else f"# {said}"
+
+
+def write_rows(path: Path, rows: list[dict], more: str = "", backend: str = "auto") -> None:
+    """A CSV file of rows under a :func:`comment`."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        file.write(comment(more, backend) + "\n")
+        table = csv.DictWriter(file, rows[0], lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)

@@ -14,16 +14,15 @@ setting that would have done, found by trying all, in turns.
 
 import argparse
 import os
-import platform
 import re
-import time
 import traceback
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import record
 from pairs import pair, truth
-from plans import TOLERANCES, cheapest, print_row, relative_errors, tried, write_rows
+from plans import TOLERANCES, cheapest, print_row, relative_errors, tried
 
 import skylamp as sl
 from skylamp import sources
@@ -213,12 +212,8 @@ def main():
     parser.add_argument("--nodes", type=int, default=2000)
     parser.add_argument("--times", action="store_true")
     args = parser.parse_args()
-    about = (
-        f"# {time.strftime('%Y-%m-%d')}, seed {args.seed}, {args.pairs} pairs, size {args.size}, backend"
-        f" {args.backend}; {platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python"
-        f" {platform.python_version()}, NumPy {np.__version__}"
-    )
-    print(about, flush=True)
+    about = f"seed {args.seed}, {args.pairs} pairs, size {args.size}"
+    print(record.comment(about, args.backend), flush=True)
     args.out.mkdir(parents=True, exist_ok=True)
     rows, failed = [], 0
     for number in range(args.pairs) if args.only is None else [args.only]:
@@ -237,7 +232,7 @@ def main():
             continue
         for row in rows[-len(TOLERANCES) :]:
             print_row(row)
-        write_rows(args.out / "refinement.csv", rows, about)
+        record.write_rows(args.out / "refinement.csv", rows, about, args.backend)
     print(*summary(rows), f"raised: {failed}", sep="\n")
     draw(rows, args.out / "refinement.png")
 

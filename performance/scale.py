@@ -16,7 +16,6 @@ the peak of memory of a worker.
 """
 
 import argparse
-import csv
 import json
 import os
 import platform
@@ -31,6 +30,7 @@ import weakref
 from pathlib import Path
 
 import numpy as np
+import record
 
 import skylamp as sl
 from skylamp import oracle, scale
@@ -440,10 +440,7 @@ def main():
             if not wanted or name in wanted:
                 rows += errors(name, heights, given.tile, given.backend)
         if given.out:
-            with open(given.out / "scale.csv", "w", newline="") as file:
-                writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
+            record.write_rows(given.out / "scale.csv", rows, backend=given.backend)
 
 
 if __name__ == "__main__":

@@ -605,3 +605,47 @@ def test_small_lights_round_the_zenith_are_whole(named):
         whole = np.pi * np.sin(half) ** 2 * np.cos(off)
         found = light.rest + sum(part.moment[2] for part in light.bright_parts)
         assert found == pytest.approx(whole, rel=2e-3), np.degrees((off, half))
+
+
+def _cap(axis, half):
+    """(function of 1 in a disc of this radius [rad] round a unit vector, its light in full)."""
+    return lambda L: 1.0 * (np.linalg.norm(L - axis, axis=-1) < 2 * np.sin(half / 2)), np.pi * np.sin(
+        half
+    ) ** 2
+
+
+@pytest.mark.slow
+def test_a_named_sun_is_met_among_many_edges():
+    """The evaluations that clouds and stripes use up are not those of a named feature: it was lost."""
+    axis, half = np.array([0.6, 0.0, -0.8]), np.radians(0.02)
+    sun, whole = _cap(axis, half)
+    for count in (60, 180):
+        stripes = lambda L, n=count: 1.0 * (np.arctan2(L[..., 1], L[..., 0]) / (2 * np.pi) * n % 1 < 0.5)
+        light = integrals.integrals(sl.Sky(lambda L, a=stripes: a(L) + sun(L) / half**2, suns=[axis]))
+        bright = sum(part.moment[2] for part in light.bright_parts)
+        assert light.rest + bright == pytest.approx(np.pi / 2 + whole / half**2 * 0.8, rel=0.05)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_setting_sun_is_met(named):
+    """Its middle may have set, and what is up be lower than half a cell: 0 before."""
+    for below in (0.05, 0.1, 0.2):
+        e, half = np.radians(-below), np.radians(0.267)
+        sun, _ = _cap(np.array([np.cos(e), 0, -np.sin(e)]), half)
+        if named:
+            sun.peaks = ((np.cos(e), 0, -np.sin(e)),)
+        light = integrals.integrals(sl.Sky(sun))
+        up = half**2 * np.arccos(below / 0.267) - np.radians(below) * np.sqrt(
+            half**2 - e**2
+        )  # of a flat disc
+        found = sum(part.power for part in light.bright_parts)
+        assert found == pytest.approx(up, rel=0.02), below
+
+
+def test_the_light_of_an_unseen_sun_is_no_level_of_the_lattice(fast):
+    """A sun that a direction of the lattice meets is named, however small; and one that it misses."""
+    for axis in ((0.6, 0.0, -0.8), (0.3, 0.42, -0.85)):
+        axis = np.array(axis) / np.linalg.norm(axis)
+        sun, _ = _cap(axis, np.radians(0.02))
+        out = sl.render(sl.Scene(np.zeros((4, 4))), sl.Sky(sun, suns=[axis]), "lattice", backend=fast)
+        assert any(text.startswith("Uneven sky") for text in out.warnings)

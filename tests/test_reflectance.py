@@ -16,7 +16,7 @@ from skylamp.backends import select
 from skylamp.light.interreflection import Glossy
 from skylamp.light.propagation import Lobe
 from skylamp.radiometry import directional_hemispheric, patch_solid_angle
-from skylamp.reflectance import frames, mirror_directions
+from skylamp.reflectance import frames, mirror_directions, phong_printed
 
 GROUND = rough(26, 31, 0.6, seed=4)
 NODES = (np.array([3, 9, 14, 20, 24]), np.array([4, 22, 12, 27, 8]))
@@ -97,7 +97,9 @@ def test_the_printed_formula_gives_more_than_it_gets(fast):
     irradiance = sl.render(scene, sl.Sky(), method="horizon", quantity="irradiance", backend=fast).image
     np.testing.assert_allclose(irradiance, np.pi, rtol=1e-5)
     np.testing.assert_allclose(sl.render(scene, sl.Sky(), method="horizon", backend=fast).image, 1, rtol=1e-5)
+    assert phong_printed(irradiance[0, 0], 0.0, 0.0, albedo=1.0) == pytest.approx(np.pi, rel=1e-5)
     # its lobe, rho_s L cos^n, has no (n + 2) / (2 pi) either
+    assert phong_printed(0.0, 2.0, np.radians(60), specular=0.5, exponent=3) == pytest.approx(0.5 * 2 / 8)
     assert sl.Phong(0.0, 0.5, 3).brdf(np.array([0.0, 0, 1]), np.array([0.0, 0, 1])) == pytest.approx(
         0.5 * (3 + 2) / (2 * np.pi)
     )

@@ -1,6 +1,7 @@
 """render(): every backend against the oracle, the lattice against closed forms, and its known errors."""
 
 import functools
+import itertools
 import pickle
 
 import numpy as np
@@ -303,6 +304,23 @@ def test_longer_strides_leak_light_and_filling_stops_it(fast):
     assert said(7, False) and said(9, False) and said(17, False) and not said(9, True) and not said(5, False)
     gentle = sl.Scene(scenes.rough(32, 32, 0.3, 2, 1.4))
     assert sl.render(gentle, sl.Sky(), "lattice", backend=fast, hemicube=17).warnings == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [2, 4, 7])
+def test_steps_that_jump_over_a_volume_are_named(fast, radius):
+    """A ball of nodes, of whose light steps of 16 nodes find a half to nothing: none was named."""
+    z, y, x = np.mgrid[:14, :40, :40]
+    ball = (x - 20) ** 2 + (y - 12) ** 2 + (z - 7) ** 2 <= radius**2 + 0.5
+    scene = sl.Scene(np.full((40, 40), 27.0))
+    whole = sl.render(scene, sl.Lamp(center=(20, 12, 7), radius=radius), backend=fast).image.sum()
+    for size, filled in itertools.product((9, 17, 33), (False, True)):
+        out = sl.render(scene, sl.Lamp(volume=ball), "lattice", hemicube=size, filled=filled, backend=fast)
+        jumped = any("jump over parts of a volume" in text for text in out.warnings)
+        assert jumped == (not filled and 2 * radius + 1 < 2 * (size // 2))
+        if filled:
+            assert out.image.sum() == pytest.approx(whole, rel=0.15)
+        assert out.image.sum() > 0.9 * whole or filled or out.warnings
 
 
 def test_a_lamp_between_the_directions_is_named(fast):

@@ -17,7 +17,15 @@ from ..backends.base import Backend
 from ..directions import Hemicube
 from ..light import unoccluded
 from ..light.base import LightMethod
-from ..light.finite import LAMP_SAMPLES, MOST_RAY_EVALUATIONS, RAY_COUNTS, Sliced, most_rays, solid_of
+from ..light.finite import (
+    LAMP_SAMPLES,
+    MOST_RAY_EVALUATIONS,
+    RAY_COUNTS,
+    WINDOWED_PART,
+    Sliced,
+    most_rays,
+    solid_of,
+)
 from ..light.line import LineLight, LinePoints, at_samples, lights_of, line_of
 from ..light.slices import outline, widened
 from ..light.unoccluded import ClosedForm
@@ -43,11 +51,6 @@ LINE_COUNTS, LINE_WIDTH = (16, 32, 64, 128, 256, 512), 5e-3
 NEAREST_LINE_WIDTH = 0.1
 LEAST_REACHED = 128  # points that every node of a map must have within MOST_RAY_EVALUATIONS; chosen
 EXACT_SLICE_MULTIPLE = 4  # times the slices of an image: those of the exact light that judges it
-# largest azimuth [rad] that a small bright part behind a window may span: slices, which are placed within the
-# window, resolve wider ones. Chosen: with half a sun of 4 degrees behind windows 1.1 spacings wide is up to
-# 3.7 tolerances off at 0.3 %, without a word; with 3 times this one of 29 random windows is 1.1, and others
-# are as they are
-WINDOWED_PART = math.radians(10)
 # sectors of a small bright part behind a window in the exact light, where the window shows the whole part;
 # multiplied by the part's width over the window's where that is larger; and their largest number. They are
 # odd, so that they are no multiple of the numbers that they judge

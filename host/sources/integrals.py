@@ -69,6 +69,7 @@ SECTOR_CELL_PARTS = 16  # at most, that a cell is cut into for narrow sectors; 8
 CUT_AT_ONCE = 2**13  # directions; chosen: what is held of so many, some 300 kB, stays in a core's cache
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
 DARK_GAP = math.radians(1)
+SET = math.radians(1)  # below the horizon, as far as the middle of a named feature may lie; chosen
 # of the tables of a sky and of a small part, evenly in the diamond angle of elevation; and of a sky whose
 # light lies within less, or that holds small parts too: a knot is 0.06 to 0.11 degrees
 SKY_KNOTS, PART_KNOTS, FINE_KNOTS = 257, 65, 1025
@@ -362,14 +363,16 @@ class Integrals:
         for _ in range(MOST_DIVISIONS):
             error = math.sqrt(leaves.variance + float(np.sum(step**2)) / 12)
             converged = error <= CONVERGED_CELL * leaves.light_with(cells) and not peaks
-            if not len(step) or evaluations < per_cell or converged:
+            named = _near(cells, peaks)  # these are divided in any case: steps may not show a feature yet
+            room = evaluations // per_cell
+            if not len(step) or not (room or named.any()) or converged:
                 break
-            if len(step) * per_cell > evaluations:  # the largest steps first
-                order = np.argsort(-step, kind="stable")
-                rest, first = order[evaluations // per_cell :], order[: evaluations // per_cell]
+            if len(step) - named.sum() > room:  # the largest steps first
+                order = np.argsort(np.where(named, -np.inf, -step), kind="stable")
+                first, rest = np.split(order, [named.sum() + room])
                 leaves.add(self._leaf(cells.pick(rest), step[rest]), step[rest])
-                cells, step = cells.pick(first), step[first]
-            evaluations -= len(step) * per_cell
+                cells, step, named = cells.pick(first), step[first], named[first]
+            evaluations -= int(np.count_nonzero(~named)) * per_cell
             needles = cells.are_needles
             parts = [self._parts(cells.pick(~needles)), self._parts(cells.pick(needles), across=1)]
             cells, step = _joined(part for part, _ in parts), np.concatenate([step for _, step in parts])
@@ -617,13 +620,8 @@ def integrals(
 
 
 def level_of(sky: sources.Sky) -> float:
-    """Irradiance of open level ground under a sky whose brightness varies; of a function by its values in
-    cells of half a degree."""
-    brightness = varying(sky)
-    held = brightness.held_by()
-    if brightness.by_formula() or held is not None and held.lasts:
-        return integrals(sky, np.inf).level
-    return float(sum(band.moments[1].sum() for band in _of_function(sky.brightness, True)))
+    """Irradiance of open level ground under a sky whose brightness varies."""
+    return integrals(sky, math.inf).level
 
 
 def sector_multiples(parts: Sequence[BrightPart]) -> list[int]:
@@ -680,9 +678,9 @@ def _peaks(source: sources.Source) -> Peaks | None:
     if named is None:
         return None
     return tuple(
-        (math.atan2(y, x) % (2 * math.pi), math.asin(min(1.0, -z / math.sqrt(x * x + y * y + z * z))))
+        (math.atan2(y, x) % (2 * math.pi), max(0.0, math.atan2(-z, math.hypot(x, y))))
         for x, y, z in named
-        if z <= 0
+        if -z >= -SET * math.hypot(x, y)  # of one whose middle has set, a part may be up
     )
 
 
@@ -735,6 +733,10 @@ def _of_function(function: Any, named: bool) -> list[Band]:
         bands.append(Band(light, start, borders[rows[0] : rows[-1] + 2]))
     top = sources.radiance(sky, np.array([[0.0, 0.0, -1.0]]))  # a light in the zenith is met for sure
     np.maximum(bands[-1].light[-1], top[0], out=bands[-1].light[-1])
+    lowest = bands[0].light[0]  # and one of which little is above the horizon
+    azimuths = bands[0].start[0] + bands[0].width * np.arange(len(lowest))
+    level = sources.radiance(sky, sources.directions_of(azimuths, np.zeros(len(lowest))))
+    np.copyto(lowest, level, where=level > (1 + ROUGH) * lowest)
     return bands
 
 
