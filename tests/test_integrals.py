@@ -649,3 +649,23 @@ def test_the_light_of_an_unseen_sun_is_no_level_of_the_lattice(fast):
         sun, _ = _cap(axis, np.radians(0.02))
         out = sl.render(sl.Scene(np.zeros((4, 4))), sl.Sky(sun, suns=[axis]), "lattice", backend=fast)
         assert any(text.startswith("Uneven sky") for text in out.warnings)
+
+
+def test_a_band_at_the_horizon_over_gentle_slopes():
+    """Horizons lie within rows of cells, where light above them is the integral of sin cos, not a straight
+    line: a band 0.2 degrees high was 4 % too dark.
+    """
+    for slope, wide in ((0.001, 0.2), (0.003, 0.33), (0.005, 0.5)):
+        wide = np.radians(wide)
+        band = lambda L, w=wide: 1.0 * (np.arcsin(np.clip(-L[..., 2], -1, 1)) < w)
+        ramp = sl.Scene.from_height(slope * np.tile(np.arange(12.0), (12, 1)))
+        image = sl.render(
+            ramp, sl.Sky(band), tolerance=0.003, quantity="irradiance", interreflection=False
+        ).image
+        azimuth = (np.arange(3600) + 0.5) * 2 * np.pi / 3600
+        tilt = -slope * np.cos(azimuth)
+        low = np.arctan(np.maximum(0, -tilt))
+        high, half = wide + low, (wide - low) / 2
+        light = tilt * (half + np.cos(high) * np.sin(2 * half) / 2) + np.sin(high) * np.sin(2 * half) / 2
+        exact = np.where(half > 0, light, 0).mean() * 2 * np.pi
+        np.testing.assert_allclose(image, exact, rtol=0.01)

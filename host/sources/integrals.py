@@ -508,7 +508,9 @@ class Integrals:
             down[:, 1:-1] -= _gentle_steps(light[:, 1:], light[:, :-1]) / 12
         at = np.interp(sines, np.sin(self._edges), np.arange(len(self._edges)))
         low = np.minimum(at.astype(int), len(self._edges) - 2)
-        part = (at - low)[:, None]
+        # of each integral within its row, in which the brightness is even
+        here, borders = antiderivatives(np.arcsin(np.clip(sines, 0, 1))), antiderivatives(self._edges)
+        part = ((here - borders[:, low]) / (borders[:, low + 1] - borders[:, low]))[..., None]
         above: np.ndarray = ((1 - part) * down[:, low] + part * down[:, low + 1]).swapaxes(1, 2)
         return above
 
@@ -714,7 +716,7 @@ def _of_function(function: Any, named: bool) -> list[Band]:
     count, around = (COARSE_ROWS, COARSE_COLS) if named else (ROWS, COLS)
     borders = np.linspace(0, math.pi / 2, count + 1)
     middle = (borders[1:] + borders[:-1]) / 2
-    halvings = (around & -around).bit_length() - 1  # so many that 9 cells are round the zenith
+    halvings = (around & -around).bit_length() - 2  # so many that 18 cells are round the zenith
     level = np.minimum(np.floor(-np.log2(np.cos(middle))).astype(int), halvings)
     bands, sky = [], sources.Sky(function)
     for n in range(halvings + 1):
