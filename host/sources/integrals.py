@@ -72,7 +72,7 @@ DARK_GAP = math.radians(1)
 # elevation up to which the light above a place within a row of cells is its integral; above, a straight line,
 # which misplaces 1 / (4 (2 n + 1)) of the light of row n, up to 1.7 %. Derived; with half of it up to 3 %
 CURVED = math.radians(1)
-SET = math.radians(1)  # below the horizon, as far as the middle of a named feature may lie; chosen
+MOST_SET = math.radians(1)  # below the horizon, of the middle of a named feature that is looked for; chosen
 # of the tables of a sky and of a small part, evenly in the diamond angle of elevation; and of a sky whose
 # light lies within less, or that holds small parts too: a knot is 0.06 to 0.11 degrees
 SKY_KNOTS, PART_KNOTS, FINE_KNOTS = 257, 65, 1025
@@ -686,7 +686,7 @@ def _peaks(source: sources.Source) -> Peaks | None:
     return tuple(
         (math.atan2(y, x) % (2 * math.pi), max(0.0, math.atan2(-z, math.hypot(x, y))))
         for x, y, z in named
-        if -z >= -SET * math.hypot(x, y)  # of one whose middle has set, a part may be up
+        if -z >= -MOST_SET * math.hypot(x, y)  # of one whose middle has set, a part may be up
     )
 
 
