@@ -319,5 +319,6 @@ def test_only_the_tile_is_lit(fast, what, reach):
 
 
 def test_a_tiling_by_numpy_integers_is_that_by_python_s():
+    """They have no bit_length, and another text, by which a scratch folder is told."""
     tiling = Tiling(*(np.int64(nodes) for nodes in (1024, 128, 32)))
     assert repr(tiling) == repr(Tiling(1024, 128, 32)) and tiling.top == Tiling(1024, 128, 32).top

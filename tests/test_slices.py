@@ -323,7 +323,7 @@ def test_a_small_lamp_shines_with_the_brightness_of_its_direction(backend):
 
 @pytest.mark.parametrize("azimuths", [64, 128, None])
 def test_a_small_sun_through_a_window_is_whole_in_as_many_slices_as_asked(backend, azimuths):
-    """Slices alone met or missed it: 0 to 7 times its light (issue 17's sun through a window)."""
+    """Slices alone met or missed it: 0 to 7 times its light."""
     sun = np.array([0.4, 0.3, -0.866]) / np.linalg.norm([0.4, 0.3, -0.866])
     edge = np.cos(np.radians(0.27))
     window = sl.Window((10, 46), (10, 46), lambda L: (L @ sun > edge) / (np.pi * (1 - edge**2)))

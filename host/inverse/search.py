@@ -136,7 +136,8 @@ def start_flat(search: Search) -> None:
     pyramid, coarsest = search.pyramid, search.pyramid.coarsest
     problem, shares, values = pyramid.problem(coarsest), _shares(pyramid), list[float]()
     # from the middle on: where time ends on the way, the best so far is none at the bounds
-    for share in (shares := shares[np.argsort(np.abs(shares - 0.5), kind="stable")]):
+    shares = shares[np.argsort(np.abs(shares - 0.5), kind="stable")]
+    for share in shares:
         values.append(problem.value(search.flat(share, coarsest), 0))
         if pyramid.stop():
             break

@@ -272,7 +272,7 @@ def write(path: StrPath, array: np.ndarray, like: Raster, *, unit: str = "") -> 
     The nodata value of a floating array is NaN, whatever that of ``like`` is, which a valid node may have;
     where ``like`` is masked and the array still has its value or its nodata value, it becomes NaN. A
     whole-number array keeps the nodata value of ``like`` if it fits its type. Raises InputError for another
-    shape or type, or a path that cannot be written.
+    shape or type, a DataArray with other coordinates, or a path that cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in (".tif", ".tiff"):

@@ -12,7 +12,7 @@ from ..backends.base import Backend
 from ..directions import Hemicube
 from ..samples import Samples
 from ..scene import Scene
-from ..sources.integrals import BrightPart, Integrals, antiderivatives, even, level_of, without
+from ..sources.integrals import BrightPart, Integrals, antiderivatives, even, integrals, without
 from . import propagation
 from .base import HostImage
 from .propagation import Problem
@@ -230,7 +230,7 @@ def _uneven_sky(source: sources.Source, cube: Hemicube) -> list[str]:
     for grey in sources.channels(source):
         if isinstance(grey, sources.Sky) and callable(grey.brightness):
             taken = -float(cube.moments[:, 2] @ sources.radiance(grey, cube.directions))
-            level = level_of(grey)
+            level = integrals(grey, math.inf).level
             worst = max(
                 worst,
                 taken / level if level else math.inf if taken else 1.0,
@@ -282,11 +282,10 @@ def _as_ball(scene: Scene, source: sources.Source) -> tuple[np.ndarray, float] |
 
 def _jumped(problem: Problem, source: sources.Source, cube: Hemicube) -> list[str]:
     """A warning where steps, which meet a volume at their ends alone, jump over it."""
-    if problem.filled or not isinstance(source, sources.Lamp) or source.volume is None:
+    if problem.filled or cube.reach < 2 or not isinstance(source, sources.Lamp) or source.volume is None:
         return []
     nodes = np.argwhere(source.volume)
-    narrow = int(np.ptp(nodes, axis=0).min()) + 1 if len(nodes) else cube.reach
-    if narrow >= JUMPED * cube.reach:
+    if not len(nodes) or (narrow := int(np.ptp(nodes, axis=0).min()) + 1) >= JUMPED * cube.reach:
         return []
     return [
         f"Small lamp: steps of up to {cube.reach} nodes jump over parts of a volume {narrow} nodes wide,"

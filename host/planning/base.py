@@ -268,8 +268,8 @@ def beyond_model(planner: Planner, between: float | None) -> Iterator[str]:
             " over the mean)."
         )
     gap = gap_below(scene, source, planner.engine)
-    if is_undefined := undefined_light(source, gap):
-        yield from is_undefined
+    if undefined := undefined_light(source, gap):
+        yield from undefined
     elif gap < 1:
         where = f"reaches {-gap:.2g} spacings into" if gap < 0 else f"ends {gap:.2g} spacings from"
         yield f"{_touches(source)} it {where} it, and the grid holds nothing finer than 1."

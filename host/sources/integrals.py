@@ -70,7 +70,8 @@ CUT_AT_ONCE = 2**13  # directions; chosen: what is held of so many, some 300 kB,
 # [rad] of darkness between two small parts: parts nearer than that share azimuths
 DARK_GAP = math.radians(1)
 # elevation up to which the light above a place within a row of cells is its integral; above, a straight line,
-# which misplaces 1 / (4 (2 n + 1)) of the light of row n, up to 1.7 %. Derived; with half of it up to 3 %
+# which misplaces 1 / (4 (2 n + 1)) of the light of row n. Derived: up to 1.7 % of one of ROWS, 5 % of one of
+# COARSE_ROWS; with half and twice of it 2.8 and 0.9 %, 8 and 3 %
 CURVED = math.radians(1)
 MOST_SET = math.radians(1)  # below the horizon, of the middle of a named feature that is looked for; chosen
 # of the tables of a sky and of a small part, evenly in the diamond angle of elevation; and of a sky whose
@@ -623,11 +624,6 @@ def integrals(
         if held.lasts or not kept.looked_closer:
             _of_objects.put(held.owner, how, kept)
     return kept
-
-
-def level_of(sky: sources.Sky) -> float:
-    """Irradiance of open level ground under a sky whose brightness varies."""
-    return integrals(sky, math.inf).level
 
 
 def sector_multiples(parts: Sequence[BrightPart]) -> list[int]:
