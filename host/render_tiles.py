@@ -20,9 +20,22 @@ from .light.horizon import with_bright_parts
 from .light.sweeps import Ground, Rays, Sweeps, engine_of, ground_of
 from .planning.plan import Plan
 from .render_options import DEFAULT_AZIMUTHS, Options, sectors_of
-from .renderer import Renderer
+from .renderer import Renderer, lattice_plan, slice_count
 from .samples import Samples, lit_mean, ring
-from .scale import AUDITED, Audit, Lights, decided, holds, over_area, seen_from_edge, tiled, warn, within_tile
+from .scale import (
+    AUDITED,
+    Audit,
+    Lights,
+    decided,
+    holds,
+    is_tiling,
+    layout_of,
+    over_area,
+    seen_from_edge,
+    tiled,
+    warn,
+    within_tile,
+)
 from .scene import Scene
 from .sources.integrals import FINE_KNOTS, even, integrals
 
@@ -43,6 +56,7 @@ JUDGING_AZIMUTHS, JUDGING_SECTORS = 72, 24
 # relative RMS error that 64 azimuths keep to under even skies: 0.0004 of E / pi on rough ground
 # (performance/refinement.py)
 LEAST_TILED_TOLERANCE = 0.002
+BETWEEN_NEEDS = "it needs open sides and tiles of at least two halos"
 LOBES = (  # what is refused of them, what is allowed, and why
     "a lobe or a mirror",
     "a Lambertian surface, or quantity='irradiance'",
@@ -54,6 +68,7 @@ def goes_in_tiles(
     options: Options, scene: Scene, source: sources.Source, engine: Backend, tiling: Tiling | None
 ) -> bool:
     """Whether tiles are asked for, which may be an InputError, or are needed and possible."""
+    is_tiling(tiling)
     asked = scene.lazy is not None or tiling is not None
     if not asked and holds(*scene.shape, engine):
         return False
@@ -137,36 +152,15 @@ def in_tiles(
 ) -> Rendering:
     """A sky or a lamp on a map in tiles: lazy, if the scene is."""
     leading = [3] if _in_colour_in_tiles(scene, source, options) else []
-    warnings: list[str] = []
-    between, why = _between_in_tiles(scene, source, options)
-    share: float | None = None
 
-    def light() -> Any:
-        nonlocal between, why, share
+    def light() -> tuple[Any, Plan, Interreflection, list[str]]:
         if isinstance(source, sources.Lamp):
-            area = _lit_area(scene, source, options.max_distance)
-            lamp = LampImage(source, replace(options, max_distance=None), backend, bool(leading))
-            image = over_area(lamp, scene, *area, *leading)
-        else:
-            work = _tile_image(scene, source, options, backend, between)
-            if between is None and scene.lazy is None:
-                work = decided(work, scene, tiling, options.max_distance, work.audit)
-                between, share = work.between, work.share
-                why = reason(share, work.tolerance)
-            image = tiled(work, scene, tiling, options.max_distance, work.audit, *leading, between=between)
-        if not leading:
-            return image
-        return image.transpose(1, 2, 0) if scene.lazy is not None else np.moveaxis(image, 0, -1)
+            return _lamp_in_tiles(scene, source, options, backend, leading)
+        return _sky_in_tiles(scene, source, options, backend, tiling, leading)
 
-    image, seconds, compiling = timed(engine, light)
-    count: int | None = len(sectors_of(options.azimuths))
-    how = "a map in tiles is not refined"
-    if isinstance(source, sources.Lamp):
-        count, how = None, "the part of the map within reach of the lamp is rendered at once"
-        why = "as in every image" if options.interreflection else "as asked"
-        between = options.interreflection is not False
-        warnings = _beyond_reach(source, options.max_distance)
-    plan = Plan("horizon", None, None, how, count, options.max_distance)
+    (image, plan, interreflection, warnings), seconds, compiling = timed(engine, light)
+    if leading:
+        image = image.transpose(1, 2, 0) if scene.lazy is not None else np.moveaxis(image, 0, -1)
     return Rendering(
         labelled(image, scene.labels, IMAGES[options.quantity]),
         plan,
@@ -175,29 +169,84 @@ def in_tiles(
         compiling,
         warnings,
         _quantity=options.quantity,
-        interreflection=Interreflection(between, why, share),
+        interreflection=interreflection,
     )
+
+
+def _sky_in_tiles(
+    scene: Scene,
+    source: sources.Source,
+    options: Options,
+    backend: str,
+    tiling: Tiling | None,
+    leading: list[int],
+) -> tuple[Any, Plan, Interreflection, list[str]]:
+    """Image, plan, light between surfaces and warnings of a sky, tile by tile."""
+    between, why = _between_in_tiles(scene, source, options)
+    work, share = _tile_image(scene, source, options, backend, between), None
+    if between is None and scene.lazy is None:
+        work = decided(work, scene, tiling, options.max_distance, work.audit)
+        between, share = work.between, work.share
+        why = reason(share, work.tolerance)
+        if not between and is_needed(share or 0.0, work.tolerance):
+            why = f"{BETWEEN_NEEDS}; {why}"
+    image = tiled(work, scene, tiling, options.max_distance, work.audit, *leading, between=between)
+    if between is None and not layout_of(scene, tiling, options.max_distance, work.audit, None).has_room:
+        between, why = False, BETWEEN_NEEDS
+    count = len(sectors_of(options.azimuths))
+    plan = Plan("horizon", None, None, "a map in tiles is not refined", count, options.max_distance)
+    return image, plan, Interreflection(between, why, share), []
+
+
+def _lamp_in_tiles(
+    scene: Scene, lamp: sources.Lamp, options: Options, backend: str, leading: list[int]
+) -> tuple[Any, Plan, Interreflection, list[str]]:
+    """Image, plan, light between surfaces and warnings of a lamp on the part of the map within its reach."""
+    area = _lit_area(scene, lamp, options.max_distance)
+    done: list[Rendering] = []
+    whole_part = replace(options, max_distance=None)
+    work = LampImage(lamp, whole_part, backend, bool(leading), done if scene.lazy is None else None)
+    image = over_area(work, scene, *area, *leading)
+    how = "the part of the map within reach of the lamp is rendered at once"
+    between, why = _between_in_tiles(scene, lamp, options)
+    plan, interreflection = _plan_of_lamp(whole_part, how), Interreflection(between, why)
+    if done:
+        plan = replace(done[0].plan, reason=f"{done[0].plan.reason}; {how}")
+        interreflection = done[0].interreflection or interreflection
+    plan = replace(plan, max_distance=options.max_distance)
+    return image, plan, interreflection, _beyond_reach(lamp, options.max_distance)
+
+
+def _plan_of_lamp(options: Options, how: str) -> Plan:
+    """The plan of a lamp before its image is made; what "auto" refines to is not known then."""
+    if options.lattice or options.method == "lattice":
+        return replace(lattice_plan(options), reason=how)
+    if options.method == "unoccluded":
+        return Plan("unoccluded", None, None, how)
+    return Plan("horizon", None, None, how, None if options.chooses else slice_count(options.azimuths))
 
 
 def _between_in_tiles(scene: Scene, source: sources.Source, options: Options) -> tuple[bool | None, str]:
     """(Whether tiles have light between surfaces, None where the whole map decides; why)."""
+    lit_at_once = isinstance(source, sources.Lamp)
     if options.interreflection is False:
         return False, "as asked"
     if not (np.ndim(scene.albedo) or scene.albedo):
         return False, "the surface has no diffuse albedo"
     if options.interreflection is True:
-        return True, "as asked, in every tile for itself"
+        return True, "as asked" if lit_at_once else "as asked, in every tile for itself"
     if not options.planned(scene, source):
         return False, "the method that was asked for is of direct light"
-    return None, "if windows of all tiles have more of it than a third of the tolerance"
+    where = "the part that the lamp lights has" if lit_at_once else "windows of all tiles have"
+    return None, f"if {where} more of it than a third of the tolerance"
 
 
 def _in_colour_in_tiles(scene: Scene, source: sources.Source, options: Options) -> bool:
     """Whether images of tiles are in colour."""
     coloured = np.ndim(scene.albedo) in (1, 3)
     between, _ = _between_in_tiles(scene, source, options)
-    may_bounce = between is not False or isinstance(source, sources.Lamp)
-    return len(sources.channels(source)) > 1 or coloured and (options.quantity == "radiance" or may_bounce)
+    coloured = coloured and (options.quantity == "radiance" or between is not False)
+    return len(sources.channels(source)) > 1 or coloured
 
 
 def _lit_area(scene: Scene, lamp: sources.Lamp, reach: float | None) -> tuple[slice, slice]:
@@ -236,6 +285,7 @@ class LampImage:
     options: Options
     backend: str
     in_colour: bool
+    done: list[Rendering] | None = None  # to which the part's rendering is added
 
     def __call__(self, scene: Scene, row: int, col: int, below: float) -> np.ndarray:
         """(rows, cols) float32, or (3, rows, cols) in colour.
@@ -251,6 +301,8 @@ class LampImage:
         done = Renderer(scene, lamp_in_range, engine, self.options).render()._times(scale)
         for text in done.warnings:
             warn(text)
+        if self.done is not None:
+            self.done.append(done)
         image = np.asarray(done.image)
         return colours_first(image) if self.in_colour else image
 
@@ -373,9 +425,9 @@ class TileImage:
         needed = is_needed(share, self.tolerance)
         if needed and not possible:
             warn(
-                f"Tolerance: light between surfaces is left out, since it needs open sides and tiles of at"
-                f" least two halos; it is about {100 * share:.2g} % of the direct light (RMS over the mean),"
-                f" more than a third of the {100 * self.tolerance:.2g} % asked for."
+                f"Tolerance: light between surfaces is left out, since {BETWEEN_NEEDS}; it is about"
+                f" {100 * share:.2g} % of the direct light (RMS over the mean), more than a third of the"
+                f" {100 * self.tolerance:.2g} % asked for."
             )
         return replace(self, between=bool(needed and possible), share=share)
 

@@ -306,7 +306,7 @@ class Renderer:
         options, scene, source = self.options, self.scene, self.source
         refines = self.planned and options.needs_irradiance(scene) and not options.brdf(scene)
         refined_light = self._within_tolerance() if refines else []
-        plan = self.plans[0] if self.plans and self.plans[0].hemicube else _lattice_plan(options)
+        plan = self.plans[0] if self.plans and self.plans[0].hemicube else lattice_plan(options)
         self.plans = self.plans or [plan]
         assert plan.hemicube is not None, "a plan of the lattice has a hemicube"
         cube = options.hemicube if isinstance(options.hemicube, Hemicube) else Hemicube(plan.hemicube)
@@ -516,12 +516,16 @@ def _plan_of(
             "max_distance, or azimuths of the caller's",
             "azimuths as a whole number: slices of a source that stands all round",
         )
-    most = MOST if azimuths is None else -(-len(Azimuths(azimuths)) // SLICES) * SLICES
     why = "slices through the source as every node sees it, fewer where it looks small"
-    return Plan("horizon", None, None, why, most)
+    return Plan("horizon", None, None, why, slice_count(azimuths))
 
 
-def _lattice_plan(options: Options) -> Plan:
+def slice_count(azimuths: int | Azimuths | None) -> int:
+    """Slices through a lamp or window, at most, of as many azimuths as asked."""
+    return MOST if azimuths is None else -(-len(sectors_of(azimuths)) // SLICES) * SLICES
+
+
+def lattice_plan(options: Options) -> Plan:
     """The lattice as asked; by "auto" without its arguments, a size whose error was measured to be small."""
     size = options.hemicube.size if isinstance(options.hemicube, Hemicube) else options.hemicube
     filled = options.filled is not False if options.method == "auto" else bool(options.filled)

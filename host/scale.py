@@ -119,6 +119,11 @@ class Layout(NamedTuple):
     undecided: bool = False
 
     @property
+    def has_room(self) -> bool:
+        """Whether tiles have a halo of their own, or are the whole map."""
+        return self.room > 0 or self.single
+
+    @property
     def starts(self) -> tuple[list[int], list[int]]:
         """First rows and first columns of the tiles."""
         return self.tiling.starts(self.shape[0]), self.tiling.starts(self.shape[1])
@@ -172,26 +177,29 @@ def layout_of(
     scene: Scene, tiling: Tiling | None, max_distance: float | None, audit: Audit, between: bool | None
 ) -> Layout:
     """The layout of a scene's map, checked; ``between``: as for :func:`layout_of_map`."""
-    tiling = USUAL if tiling is None else tiling
-    if not isinstance(tiling, Tiling):
-        raise bad("tiling", type(tiling).__name__, "a skylamp.Tiling")
+    is_tiling(tiling)
     layout = layout_of_map(
-        tiling, scene.shape, scene.spacing, scene.sides == "periodic", max_distance, audit, between
+        tiling or USUAL, scene.shape, scene.spacing, scene.sides == "periodic", max_distance, audit, between
     )
     if layout.single:
         return layout
     if scene.sides == "dark":
         raise bad(
             "sides 'dark' over several tiles, or on a round Earth",
-            f"{scene.shape[0]} x {scene.shape[1]} nodes in tiles of {tiling.tile}",
+            f"{scene.shape[0]} x {scene.shape[1]} nodes in tiles of {layout.tiling.tile}",
             "sides 'open' or 'periodic'",
             "A box's walls reach up to the highest ground of the whole map.",
         )
-    if layout.periodic and min(scene.shape) < tiling.least:
-        raise bad(
-            "a map that repeats, over several tiles", scene.shape, f"at least {tiling.least} nodes a side"
-        )
+    if layout.periodic and min(scene.shape) < layout.tiling.least:
+        least = f"at least {layout.tiling.least} nodes a side"
+        raise bad("a map that repeats, over several tiles", scene.shape, least)
     return layout
+
+
+def is_tiling(tiling: Tiling | None) -> None:
+    """InputError unless it is a Tiling, or none is given."""
+    if not isinstance(tiling, (Tiling, type(None))):
+        raise bad("tiling", type(tiling).__name__, "a skylamp.Tiling")
 
 
 def layout_of_map(
@@ -323,7 +331,8 @@ def _windows(heights: np.ndarray) -> list[tuple[Any, float]]:
 
 def _mean_square_step(window: np.ndarray) -> float:
     """Mean square of the differences between neighbours with data; inf without data."""
-    steps = [np.diff(window, axis=axis) for axis in (0, 1)]
+    with np.errstate(invalid="ignore"):  # of inf - inf, where ground is missing
+        steps = [np.diff(window, axis=axis) for axis in (0, 1)]
     known = [step[np.isfinite(step)] for step in steps]
     if not any(step.size for step in known):
         return 0.0 if np.isfinite(window).any() else math.inf
@@ -339,8 +348,7 @@ def _windows_along(nodes: int) -> list[slice]:
 
 def decided_by_sums(work: Any, layout: Layout, sums: np.ndarray) -> tuple[Any, Layout]:
     """:class:`Undecided` work and its layout, decided by the sums over the whole map."""
-    possible = layout.room > 0 or layout.single
-    work = work.decided(sums, possible)
+    work = work.decided(sums, layout.has_room)
     return work, layout._replace(room=layout.room if work.between else 0, undecided=False)
 
 

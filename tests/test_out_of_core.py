@@ -311,8 +311,8 @@ def test_a_damaged_file_is_one_error(dem, tmp_path):
     )
 
 
-def test_workers_that_die_at_a_tile_are_said(dem, tmp_path):
-    """With what may help; the scratch stays."""
+def test_workers_that_die_at_a_tile_are_said(dem, tmp_path, capsys):
+    """With what may help; the scratch stays, and that is said."""
 
     def deadly(*_):
         os._exit(9)
@@ -323,6 +323,24 @@ def test_workers_that_die_at_a_tile_are_said(dem, tmp_path):
         with pytest.raises(CapacityError, match="--memory.*workers that computed a tile died.*--tile"):
             out_of_core.write_quantity(dem[0], str(tmp_path / "out.tif"), quantity, machines, None)
     assert os.listdir(tmp_path) == ["out.tif.scratch"]
+    assert (
+        f"Stopped: finished tiles are in {tmp_path / 'out.tif.scratch'}; --resume" in capsys.readouterr().err
+    )
+
+
+def test_a_cog_that_is_not_finished_leaves_nothing(dem, tmp_path, monkeypatch):
+    """Neither the file that it would replace nor the plain one that it is made from."""
+    from rasterio import shutil
+
+    def interrupt(plain, *_, **__):
+        assert Path(plain).exists()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shutil, "copy", interrupt)
+    maps = zarr.array(np.zeros((1, 600, 768), np.float32), chunks=(1, 512, 512))
+    with pytest.raises(KeyboardInterrupt):
+        out_of_core.write(str(tmp_path / "out.tif"), maps, geo.header(dem[0]), True)
+    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize("workers", [1, 3])

@@ -593,6 +593,11 @@ def test_light_between_surfaces_that_cannot_be_in_tiles_is_said(fast):
     ):
         found = sl.render(scene, sl.Sky(), backend=fast, tiling=SMALL)
     assert not found.interreflection.included and found.interreflection.share > 0.01
+    needs = "it needs open sides and tiles of at least two halos"
+    assert str(found.interreflection).startswith(f"left out: {needs}; it is about")
+    lazy = sl.Scene.from_height(da.from_array(heights, chunks=64), albedo=0.9, sides="periodic")
+    promised = sl.render(lazy, sl.Sky(), backend=fast, tiling=SMALL).interreflection
+    assert str(promised) == f"left out: {needs}"
 
 
 def test_light_that_is_guessed_is_said(fast):
@@ -631,6 +636,58 @@ def test_lamps_light_what_is_within_their_reach(dem, fast):
     assert rms(off[border]) < 0.02 * expected[border].mean()  # their slopes are those of the whole map
     image[area] = np.nan
     assert np.nanmax(image) == 0
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        dict(method="lattice", hemicube=5),
+        dict(method="unoccluded"),
+        dict(azimuths=16),
+        dict(azimuths=16, interreflection=True),
+        dict(interreflection=False),
+        {},
+    ],
+)
+def test_a_lamp_in_tiles_says_what_the_whole_map_says(fast, asked):
+    """Image, its shape, method and light between surfaces, in colour; of a lazy map what is known."""
+    heights, lamp = mountains(60, 70, 8), sl.Lamp(center=(35, 30, -30), radius=10)
+    surface, options = dict(albedo=(0.2, 0.5, 0.8)), dict(quantity="irradiance", backend=fast, **asked)
+    scene = sl.Scene.from_height(heights, **surface)
+    whole, tiled = (sl.render(scene, lamp, tiling=tiling, **options) for tiling in (None, SMALL))
+    assert np.allclose(tiled.image, whole.image, rtol=1e-4) and tiled.image.shape == whole.image.shape
+    facts = lambda plan: (plan.method, plan.hemicube, plan.filled, plan.azimuths)
+    assert facts(tiled.plan) == facts(whole.plan) and "within reach of the lamp" in tiled.plan.reason
+    assert str(tiled.interreflection) == str(whole.interreflection)
+    lazy = sl.render(sl.Scene.from_height(da.from_array(heights, chunks=30), **surface), lamp, **options)
+    assert lazy.image.shape == whole.image.shape
+    if asked:
+        assert facts(lazy.plan)[:3] == facts(whole.plan)[:3]
+        assert lazy.interreflection.included == whole.interreflection.included
+    else:
+        assert lazy.interreflection.included is None and "third" in str(lazy.interreflection)
+
+
+@pytest.mark.parametrize("source", [sl.Sky(), sl.Lamp(center=(0, 0, -10), radius=3)])
+def test_a_tiling_is_a_tiling(source):
+    """For a lamp as for a sky."""
+    with pytest.raises(InputError, match="tiling: got int; allowed: a skylamp.Tiling"):
+        sl.render(sl.Scene(np.zeros((4, 4))), source, backend="numpy", tiling=64)
+
+
+def test_minus_infinity_is_missing_ground(fast):
+    """As nan is, without a word of NumPy's."""
+    heights = mountains(70, 80, 8)
+    heights[20:50, 30:50] = np.nan
+    images = [
+        sl.render(sl.Scene.from_height(da.from_array(part)), sl.Sky(), backend=fast, tiling=SMALL).image
+        for part in (heights, np.where(np.isnan(heights), -np.inf, heights))
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        found, expected = (image.compute(scheduler="sync") for image in images)
+    assert np.array_equal(np.isnan(found), np.isnan(heights))
+    assert_bits_equal(np.nan_to_num(found), np.nan_to_num(expected))
 
 
 @pytest.mark.parametrize("z", [-4.0, 4.0])

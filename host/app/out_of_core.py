@@ -205,6 +205,7 @@ def write_quantity(
     header = geo.header(file, spacing=quantity.spacing)
     scratch = Path(out).absolute().with_name(Path(out).name + ".scratch")  # workers have another folder
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
+    begun = False
     with locked(scratch):
         try:
             with workers_of(machines) as client:
@@ -219,11 +220,14 @@ def write_quantity(
                 )
                 names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
                 job = Job(file.resolve(), scratch, layout, quantity, dtype, names)
-                group = run(job, client, machines.resume, progress)
+                group, begun = scratch_of(job, machines.resume), True
+                run(job, group, client, progress)
             write(out, group["values"], header, machines.cog)
-        except KeyboardInterrupt:
-            if scratch.exists():
-                typer.echo(f"Interrupted: finished tiles are in {scratch}; --resume continues.", err=True)
+        except BaseException as error:
+            interrupted = isinstance(error, KeyboardInterrupt)
+            if scratch.exists() and (begun or interrupted):
+                what = "Interrupted" if interrupted else "Stopped"
+                typer.echo(f"{what}: finished tiles are in {scratch}; --resume continues.", err=True)
             raise
         discard(scratch)
     bands = () if quantity.bands == 1 else (quantity.bands,)
@@ -252,9 +256,9 @@ def tile_that_fits(share: int) -> int:
     raise CapacityError(f"--memory: {share:,} bytes a worker; one needs at least {memory_of(TILES[-1]):,}.")
 
 
-def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:
-    """Compute all tiles that are not done yet; the scratch group that holds them."""
-    group, layout = scratch_of(job, resume), job.layout
+def run(job: Job, group: Any, client: Any, progress: Progress | None) -> None:
+    """Compute all tiles that are not done yet into the scratch group."""
+    layout = job.layout
     boxes = list(layout.boxes())
     overviews = layout.needs_overviews and not layout.single
     steps = 2 * len(boxes) if overviews or layout.undecided else len(boxes)
@@ -269,7 +273,6 @@ def run(job: Job, client: Any, resume: bool, progress: Progress | None) -> Any:
     if overviews:
         top = client.submit(_top, there, pure=False)
     _each(client, _compute, there, group["done"], done, tell, top)
-    return group
 
 
 def _same(job: Job) -> Job:
@@ -529,8 +532,10 @@ def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
     rasterio = importlib.import_module("rasterio")
     importlib.import_module("rasterio.shutil")
     bands, rows, cols = maps.shape
-    with replacing_file(out) as path:
+    with replacing_file(out) as path, contextlib.ExitStack() as after:
         plain = path.with_suffix(".plain") if cog else path
+        if cog:
+            after.callback(plain.unlink, missing_ok=True)
         with rasterio.open(
             plain,
             "w",
@@ -560,4 +565,3 @@ def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
                 compress="ZSTD", predictor="YES", bigtiff="IF_SAFER", overview_resampling="AVERAGE"
             )
             rasterio.shutil.copy(plain, path, driver="COG", **options)
-            plain.unlink()
