@@ -59,7 +59,7 @@ def number_or_nan(value: Any) -> float:
 
 def positive_number(value: Any, what: str) -> float:
     try:
-        if isinstance(value, (str, bytes)):
+        if isinstance(value, (str, bytes, bool, np.bool_)):
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):

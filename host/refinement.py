@@ -16,7 +16,6 @@ from . import sources
 from .backends import select
 from .backends.base import Backend, stopwatch
 from .checks import positive_number
-from .errors import bad
 from .interreflection import check_choice
 from .light.base import Estimate, Later, LightMethod
 from .light.finite import solid_of
@@ -289,8 +288,7 @@ def choose(
     """The planner for this kind of source, with the method and units that an image begins with."""
     tolerance = positive_number(tolerance, "tolerance")
     tail = DEFAULT_TAIL * tolerance if tail is None else positive_number(tail, "tail")
-    if not isinstance(source, sources.Source):
-        raise bad("source", type(source).__name__, "Sky, Lamp or Window")
+    sources.is_source(source)
     if scene.sides == "periodic" or not (isinstance(source, sources.Lamp) and source.corner is not None):
         sources.geometry(source, scene, 1.0)  # checks that they fit
     planner_class: type[Planner] = SlicePlanner

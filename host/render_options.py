@@ -90,8 +90,7 @@ class Options:
         one_of(self.weights, ("moment", "printed"), "weights")
         if not isinstance(self.filled, (bool, type(None))):
             raise bad("filled", repr(self.filled), "True, False or None")
-        if not isinstance(source, sources.Source):
-            raise bad("source", type(source).__name__, "Sky, Lamp or Window")
+        sources.is_source(source)
         positive_number(self.tolerance, "tolerance")
         check_choice(self.interreflection)
         if not isinstance(self.parts, bool):

@@ -187,6 +187,11 @@ RENDER = {
         lambda: sl.render(SCENE, 1.0, backend="numpy"),
         ["source", "float", "Sky, Lamp or Window"],
     ),
+    "a brightness for a source": (
+        lambda: sl.render(SCENE, sl.cie_overcast(), backend="numpy"),
+        ["source", "Sky, Lamp or Window", "sl.Sky(brightness)"],
+    ),
+    "tolerance a truth": (lambda: sl.render(SCENE, SKY, tolerance=True), ["tolerance", "True", "number"]),
     "unknown method": (lambda: sl.render(SCENE, SKY, "raytrace"), ["method", "'raytrace'", "lattice"]),
     "unknown quantity": (
         lambda: sl.render(SCENE, SKY, quantity="lux"),
@@ -296,6 +301,22 @@ RECOVER = {
     "several images, one source": (
         lambda: sl.recover([IMAGE, IMAGE], SKY),
         ["source: got one, of 2 images", "one per image"],
+    ),
+    "far beyond float32": (
+        lambda: sl.recover(IMAGE, SKY, far=3e38, backend="numpy"),
+        ["far: too deep", "3e+38", "1048576 x spacing"],
+    ),
+    "spacing beyond float32": (
+        lambda: sl.recover(IMAGE, SKY, spacing=1e38, backend="numpy"),
+        ["far: too deep", "at most 3.4e38"],
+    ),
+    "albedo of images of one light": (
+        lambda: sl.recover([IMAGE, IMAGE], [SKY, SKY], albedo=None, backend="numpy"),
+        ["albedo", "These are of one light", "different lights"],
+    ),
+    "near by the paper": (
+        lambda: sl.recover(IMAGE, SKY, near=1.0, method="paper", backend="numpy"),
+        ["method 'paper'", "near", "without near, far"],
     ),
     "even M": (lambda: sl.recover(IMAGE, SKY, hemicube=4), ["hemicube", "4", "odd"]),
     "albedo 0": (lambda: sl.recover(IMAGE, SKY, albedo=0), ["albedo", "> 0"]),

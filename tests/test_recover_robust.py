@@ -5,8 +5,10 @@ import importlib
 import itertools
 import logging
 import math
+import re
 import time
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from surfaces import ALBEDO, SURFACES, rms
 
 import skylamp as sl
 from skylamp.backends import select
-from skylamp.inverse import search
+from skylamp.inverse import diagnostics, search
 from skylamp.inverse.by_light import by_light
 from skylamp.inverse.confidence import confidence_of
 from skylamp.inverse.descent import Descent, Solution
@@ -24,7 +26,7 @@ from skylamp.inverse.finer_model import refit_of
 from skylamp.inverse.multigrid import Multigrid
 from skylamp.inverse.place import free_place
 from skylamp.inverse.posterior import posterior_deviation
-from skylamp.inverse.pyramid import Pyramid, noise_of
+from skylamp.inverse.pyramid import IMAGE_RMS, Pyramid, noise_of
 from skylamp.inverse.resampling import blurred
 
 SMALL = SIZE = 32  # half the size of performance/recover.py: a layer here is two there
@@ -1204,6 +1206,115 @@ def test_an_interrupt_before_the_first_level_gives_a_flat_surface(fast, monkeypa
     got = recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast)
     np.testing.assert_allclose(got.depth, LAYERS / 2, rtol=1e-3)
     assert any("Interrupted" in warning for warning in got.warnings) and got.levels == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "begins"),
+    [("_likelier", "Interrupted: this is"), ("judgement_of", "Interrupted before the confidence")],
+)
+def test_an_interrupt_after_the_search_keeps_its_surface(fast, monkeypatch, name, begins):
+    """Ctrl-C while answers are compared, or judged: then any depth between the bounds is as likely."""
+    module = importlib.import_module("skylamp.inverse.recover")
+    depth, image = pair("bumps", "sky")
+    limits = dict(near=4.0, far=np.full((16, 16), 30.0), backend=fast)
+    ask = functools.partial(sl.recover, image[:16, :16], sl.Sky(), ALBEDO, "dark", **limits)
+    whole = ask()
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, name, interrupt)
+    got = ask()
+    assert rms(got.depth - whole.depth) < 0.5 and any(text.startswith(begins) for text in got.warnings)
+    if name == "judgement_of":
+        np.testing.assert_allclose(got.std, 26 / math.sqrt(12), rtol=1e-6)
+        assert got.confidence.max() < 0.1 and not got.ambiguous.any()
+
+
+def test_seconds_of_waiting_for_other_threads_count(fast, monkeypatch):
+    """The clock of ``max_seconds`` starts before the call waits for the device."""
+    module, happened = importlib.import_module("skylamp.inverse.recover"), []
+    engine, stopwatch = select(fast), module.stopwatch
+
+    class Lock:
+        def __enter__(self):
+            happened.append("device")
+            return engine_lock.__enter__()
+
+        def __exit__(self, *error):
+            return engine_lock.__exit__(*error)
+
+    engine_lock = engine.lock
+    monkeypatch.setattr(module, "stopwatch", lambda *of: happened.append("clock") or stopwatch(*of))
+    monkeypatch.setattr(engine, "lock", Lock())
+    recover(pair("bumps", "sky")[1][:8, :8], sl.Sky(), ALBEDO, "dark", backend=fast)
+    assert happened[:2] == ["clock", "device"]
+
+
+def _fine(seed, blur=0.8, size=SIZE):
+    """Random relief of 6 nodes whose finest waves are close to the grid's, 4 nodes below the viewer."""
+    waves = np.fft.fft2(np.random.default_rng(seed).standard_normal((size, size)))
+    frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.fftfreq(size))
+    relief = np.fft.ifft2(waves * np.exp(-20 * (blur * frequency) ** 2)).real
+    return 4 + 6 * (relief - relief.min()) / np.ptp(relief)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("light", [sl.Lamp((16, 16, -12), radius=4), sl.Lamp((4, 16, -8), radius=3)])
+def test_fine_relief_is_not_noise(fast, light):
+    """It was taken for noise and smoothed away, without a word: 0.7 to 1.9 nodes off, 6 to 17 % of the image.
+
+    Noise is left where it is: explaining it would leave depth 1.5 nodes off.
+    """
+    surface = dict(albedo=0.5, sides="dark", backend=fast)
+    for seed in (0, 1, 100):
+        depth = _fine(seed)
+        scene = sl.Scene(depth, albedo=0.5, sides="dark")
+        image = sl.render(scene, light, interreflection=False, backend=fast).image
+        got = recover(image, light, layers=LAYERS, **surface)
+        assert got.levels[-1].residual < 0.03 and rms(got.depth - depth) < 0.55, seed
+        assert (np.abs(got.depth - depth) < 2 * got.std).mean() > 0.9
+    depth = _fine(0, 2.0)
+    image = sl.render(
+        sl.Scene(depth, albedo=0.5, sides="dark"), light, interreflection=False, backend=fast
+    ).image
+    noise = 0.1 * math.sqrt((image**2).mean()) * np.random.default_rng(0).standard_normal(image.shape)
+    got = recover(np.maximum(image + noise, 0), light, layers=LAYERS, **surface)
+    assert got.levels[-1].residual > 0.08 and rms(got.depth - depth) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("residual", "noise", "fires"), [(0.15, 0.1, False), (0.17, 0.1, True), (0.02, 0.005, False)]
+)
+def test_a_residual_is_held_against_noise(residual, noise, fires):
+    """Errors add by squares: 1.6 times the noise, and 3 % of the image, are explained by noise and model."""
+    pyramid = SimpleNamespace(noise=noise * IMAGE_RMS, sides="dark", interreflection=False)
+    assert diagnostics.is_relief(pyramid, residual) == fires
+    errors = residual * IMAGE_RMS * np.resize([1.0, -1.0], (16, 16))
+    assert any("Poorly" in text for text in diagnostics.of_residual(pyramid, errors)) == fires
+
+
+def test_an_image_in_a_wrong_unit_tells_no_depth(fast):
+    """10^10 times too dim: std was 0.002 nodes beside a residual of 400,000,000,000 % of the image."""
+    image = 1e-10 * pair("bumps", "sky")[1][:16, :16]
+    got = recover(image, sl.Sky(), ALBEDO, "dark", layers=LAYERS, backend=fast)
+    assert got.std.min() > 9 and got.confidence.max() < 0.1
+    assert any(
+        re.match(r"Poorly explained: .* differ by [0-9.e+]+ times the image", text) for text in got.warnings
+    )
+
+
+@pytest.mark.slow
+def test_a_lamp_below_the_surface_that_was_found_is_said(fast):
+    """With the light that is missing; not where all of the lamp stands above it."""
+    y, x = np.mgrid[:24, :24].astype(float)
+    depth = 8 + 4 * np.sin(x / 5) * np.cos(y / 6)
+    for z, told in ((-3, False), (5.5, True)):
+        lamp = sl.Lamp((12, 12, z), radius=1.0)
+        image = sl.render(sl.Scene(depth, albedo=0.5, sides="dark"), lamp, interreflection=False).image
+        got = recover(image, lamp, 0.5, "dark", layers=24, backend=fast)
+        assert any(text.startswith("Lamp below ground") for text in got.warnings) == told
 
 
 @pytest.mark.slow

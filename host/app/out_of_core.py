@@ -224,10 +224,10 @@ def write_quantity(
                 run(job, group, client, progress)
             write(out, group["values"], header, machines.cog)
         except BaseException as error:
-            interrupted = isinstance(error, KeyboardInterrupt)
-            if scratch.exists() and (begun or interrupted):
-                what = "Interrupted" if interrupted else "Stopped"
-                typer.echo(f"{what}: finished tiles are in {scratch}; --resume continues.", err=True)
+            if isinstance(error, KeyboardInterrupt) and scratch.exists():
+                typer.echo(f"Interrupted: finished tiles are in {scratch}; --resume continues.", err=True)
+            elif begun:
+                typer.echo(f"Stopped: finished tiles are in {scratch}; --resume continues.", err=True)
             raise
         discard(scratch)
     bands = () if quantity.bands == 1 else (quantity.bands,)

@@ -105,11 +105,16 @@ class Judgement(NamedTuple):
 
 
 def judgement_of(
-    multigrid: Multigrid, level: int, z: np.ndarray, rivals: list[Rival], rivals_at: int, depth_range: float
+    multigrid: Multigrid,
+    level: int,
+    z: np.ndarray,
+    rivals: list[Rival],
+    rivals_at: int,
+    bounds: tuple[np.ndarray, np.ndarray],
 ) -> Judgement:
     """The judgement on the surface z of grid ``level`` whose rivals are of grid ``rivals_at``.
 
-    An albedo that was not known is taken for known on the way.
+    ``bounds`` (rows, cols) [nodes], of depth. An albedo that was not known is taken for known on the way.
     """
     pyramid = multigrid.pyramid
     place = free_place(pyramid, float(np.mean(z)) * 2**level)
@@ -127,12 +132,18 @@ def judgement_of(
     refit = refit_of(pyramid, grid, small)
     judged = Judged(multigrid, grid, small, misfit, rivals, refit, place)
     std = np.sqrt(sum((part(judged) for part in PARTS), variance))
-    others = other_depths(pyramid, grid, small, APART * depth_range)
+    others = other_depths(pyramid, grid, small, APART * float((bounds[1] - bounds[0]).mean()))
     for finer in range(grid - 1, -1, -1):
         rows, cols = pyramid.shape(finer)
         std = 2 * doubled(std, (rows, cols))
         others = others.repeat(2, 1).repeat(2, 2)[:, :rows, :cols]
     return Judgement(std, others, None if grid else refit, judged.share, place)
+
+
+def unjudged(bounds: tuple[np.ndarray, np.ndarray]) -> Judgement:
+    """The judgement where nothing is known: any depth between the bounds (rows, cols) is as likely."""
+    low, high = bounds
+    return Judgement((high - low) / math.sqrt(12), np.full((CANDIDATES, *low.shape), np.nan), None, 0.0, None)
 
 
 def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from ..scene import Scene
 from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
 from .place import FreePlace
-from .pyramid import COARSEST, IMAGE_RMS, Pyramid, shown
+from .pyramid import COARSEST, IMAGE_RMS, Pyramid, share_of_images, shown
 from .resampling import distance_from
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
@@ -28,7 +28,7 @@ NO_TIME = (
     "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
     " it, depth is farther off than std says."
 )
-# residual over the image (RMS), besides that of NOISE_DEVIATIONS of noise, above which an image is called
+# residual over the image (RMS), besides NOISE_TIMES its noise, above which an image is called
 # poorly explained. Measured by
 # performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the right
 # arguments, in 26 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The residual
@@ -47,7 +47,13 @@ TOO_BRIGHT, TOO_MANY = 0.1, 0.02
 IN_ANOTHER_UNIT = 3.0
 # standard deviations of noise by which a pixel may be brighter than the model; 0.3 of 10^6 normal ones are
 DEVIATIONS = 5
-NOISE_DEVIATIONS = 2  # by which noise may raise a residual; chosen
+# residual over noise that was estimated, above which it is not that of noise. Measured on nine smooth
+# surfaces (32 x 32, a sky and two lamps): 0.8 to 1.1 with noise of 3, 10 and 20 % that is even or as the root
+# of brightness, up to 1.43 with noise as brightness; of noise-free images of fine relief, 1.75 to 2.7
+NOISE_TIMES = 1.6
+# noise over the image (RMS) from which on it may be fine relief; chosen: less hardly smooths. In those images
+# it is 0.03 to 0.13, so that half and twice give the same answers
+LEAST_TAKEN = 0.01
 # grey levels of an image: steps of fewer are coarser than a quarter of the usual eps of carving, 0.02; chosen
 FEWEST_COUNTS = 200
 WHOLE = 1e-3  # share of the largest count by which counts may differ from whole numbers: three digits; chosen
@@ -63,6 +69,7 @@ AMBIGUOUS = 0.005
 # with a radius of 3, 6 and 10 nodes, of 64, in fifteen surfaces under a sky, 0, 0 and 2 answers are off by
 # more than a node (RMS)
 WIDE_GAP, LEAST_WIDE = 0.1, 3
+BELOW = 0.01  # share of a lamp's light from below the level above which a warning says so; chosen
 UNTOLD = 0.2  # share of untrusted pixels above which a warning says so; chosen
 # part of the image's side that counts as border, and ratio of the variance of residuals there to that inside
 # from which on the sides are suspected; chosen
@@ -100,9 +107,10 @@ def of_images(
         if isinstance(light, sources.Lamp) and light.center is not None and light.radius is not None:
             away = deepest - light.center[2]
             if light.radius / max(away, light.radius) < 0.5 / min(COARSEST, *scene.shape):  # half a node
+                degrees = math.degrees(light.radius / away)
                 warnings.append(
-                    f"Small lamp: its radius of {light.radius:.3g} nodes is below the resolution of the"
-                    f" coarsest grid at depth {deepest:.3g}; its shadows are sharper than the grid allows."
+                    f"Small lamp: its apparent radius, {degrees:.2g} degrees from the greatest depth, is"
+                    " below the resolution of the coarsest grid; its shadows are sharper than that grid has."
                 )
     return warnings
 
@@ -152,24 +160,35 @@ def of_limits(z: np.ndarray, low: np.ndarray, high: np.ndarray) -> list[str]:
 def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") -> list[str]:
     """Warnings that follow from the residual of an image, in the unit of the pyramid; ``image``: its name."""
     warnings = []
-    rms = math.sqrt(float(np.mean(residual**2))) / IMAGE_RMS
+    rms = share_of_images(residual)
     too_bright = (residual < -TOO_BRIGHT * IMAGE_RMS) & (residual < -DEVIATIONS * pyramid.noise)
     if too_bright.mean() > TOO_MANY:
         warnings.append(
             f"{image.capitalize()} brighter than the model can make it at {too_bright.mean():.0%} of the"
             " pixels: a larger albedo or brightness, or other sides, may be right."
         )
-    if rms > POORLY + NOISE_DEVIATIONS * pyramid.noise / IMAGE_RMS:
+    if rms > _by_noise(pyramid, POORLY):
         why = "; check sides, albedo and source; or the relief is finer than the resolution."
         if _worse_at_rim(residual):
             why = f", mostly near the border: check the sides (sides={pyramid.sides!r} was given)."
-        warnings.append(f"Poorly explained: model and {image} differ by {rms:.0%} of the image (rms){why}")
+        off = f"{rms:.0%} of" if rms < 10 else f"{rms:.2g} times"
+        warnings.append(f"Poorly explained: model and {image} differ by {off} the image (rms){why}")
     return warnings
+
+
+def _by_noise(pyramid: Pyramid, rest: float) -> float:
+    """Residual over the image (RMS) up to which noise and another part, the ``rest``, may raise it."""
+    return math.hypot(rest, NOISE_TIMES * pyramid.noise / IMAGE_RMS)
+
+
+def is_relief(pyramid: Pyramid, residual: float) -> bool:
+    """Whether what was taken for noise is fine relief, since an answer leaves so much of the images (RMS)."""
+    return pyramid.noise > LEAST_TAKEN * IMAGE_RMS and residual > _by_noise(pyramid, POORLY)
 
 
 def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
     """Warning that light between surfaces is not explained; residual: of all images, over their rms."""
-    if not pyramid.interreflection or residual <= UNSETTLED + NOISE_DEVIATIONS * pyramid.noise / IMAGE_RMS:
+    if not pyramid.interreflection or residual <= _by_noise(pyramid, UNSETTLED):
         return []
     return [
         f"Light between surfaces: model and image still differ by {residual:.1%} (rms). Its derivatives are"
@@ -258,6 +277,17 @@ def of_free_place(place: FreePlace | None, lights: Sequence[sources.Source]) -> 
         "Two lights over an unknown albedo: the line through both (a sky lies in the mean direction of its"
         " light) does not meet the map, so that surfaces which lie some nodes apart have nearly the same"
         " images; std and confidence include that."
+    ]
+
+
+def of_lamps_below(lost: float) -> list[str]:
+    """A warning of light from below the level, this share of a lamp's (RMS over the mean)."""
+    if lost <= BELOW:
+        return []
+    return [
+        "Lamp below ground: the surface is higher than a part of the lamp, which it sees below its level. The"
+        f" model leaves that light out, {lost:.1%} of all (RMS over the mean) where nothing occludes; images"
+        " contain it, so depth is wrong there, and std does not say so."
     ]
 
 

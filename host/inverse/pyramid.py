@@ -101,8 +101,9 @@ class Pyramid:
 
     images (rows, cols) radiance; albedo a number or (rows, cols), or None: to be found; near, far (rows,
     cols) bounds; interreflection: whether ground lights ground; known (rows, cols) of every image: the pixels
-    to explain, all if None. ``stop``: asked after every step whether to end; ``report``: called with every
-    level that was reached; ``spent``: gives the seconds since the start.
+    to explain, all if None; has_noise: whether images have noise, which is estimated. ``stop``: asked after
+    every step whether to end; ``report``: called with every level that was reached; ``spent``: gives the
+    seconds since the start.
 
     Of every grid: seen, the images; weights, the share of each of their pixels that is known; images, what is
     explained, seen times weights.
@@ -123,6 +124,7 @@ class Pyramid:
         far: np.ndarray,
         interreflection: bool = False,
         known: list[np.ndarray] | None = None,
+        has_noise: bool = True,
     ):
         self.engine, self.sources, self.sides = engine, lights, sides
         self.interreflection = interreflection
@@ -149,7 +151,8 @@ class Pyramid:
             self.albedo.append(halved(self.albedo[-1]))
         self.coarsest = len(self.images) - 1
         self.start = grid_of_starts([level[0].shape for level in self.images])
-        self.noise = math.sqrt(float(np.mean(np.square(list(map(noise_of, self.seen[0], self.weights[0]))))))
+        noises = map(noise_of, self.seen[0], self.weights[0]) if has_noise else (0.0,)
+        self.noise = math.sqrt(float(np.mean(np.square(list(noises)))))
         # by number, since a source may hold what cannot be hashed
         self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems: dict[int, Descent] = {}

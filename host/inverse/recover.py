@@ -6,6 +6,7 @@ import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,12 +19,13 @@ from ..checks import as_real, at, one_of, positive_number, real_array, whole_num
 from ..directions import Hemicube
 from ..errors import bad
 from ..interreflection import check_choice
+from ..light.finite import left_below
 from ..light.propagation import Progress
 from ..scene import Scene, check_spacing, known_of, mask_of
 from . import diagnostics
 from .by_light import by_light
 from .carving import carved_layers
-from .confidence import UNTRUSTED, confidence_of, judgement_of
+from .confidence import UNTRUSTED, confidence_of, judgement_of, unjudged
 from .finer_model import refit_of
 from .multigrid import Multigrid
 from .pyramid import NEAREST, Level, Pyramid, share_of_images
@@ -50,6 +52,8 @@ DIRECT_SHARE = 0.25
 # images, where it did not explain them too, 0.0027 and more. Without it two of the eleven are called direct
 MODEL_RESIDUAL = 6e-4
 LEAST_RESIDUAL = 1e-12  # that another is divided by
+INTERRUPTED = "Interrupted: this is the best so far."
+CUT = "Out of time", "Interrupted"  # how warnings of a search that was cut begin
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +72,9 @@ class Recovery:
     float32: model - image of the first image, or of the mean of those of its light, nan where that does not
     count (0 for the paper's method); albedo (rows, cols) float32: that which was found, None if it was given;
     levels: shape, residual and seconds of every grid, of direct light where the search was there by that
-    alone; backend (its name); seconds without compiling, compile_seconds; warnings; interreflection: whether
-    the model of the images has light between surfaces. Arrays of an image that is an xarray.DataArray are
-    some too.
+    alone; backend (its name); seconds since the call, without compiling; compile_seconds; warnings;
+    interreflection: whether the model of the images has light between surfaces. Arrays of an image that is an
+    xarray.DataArray are some too.
     """
 
     depth: np.ndarray
@@ -135,7 +139,7 @@ def recover(
         Of method="robust": between which depth lies; 0 and layers x spacing unless given.
     max_seconds : float, optional
         Then, or on Ctrl-C, "robust" takes the best surface so far, with a warning; its confidence may take as
-        long again. "paper" raises an error.
+        long again, unless Ctrl-C is pressed then. "paper" raises an error.
     interreflection : "auto", True or False
         Of method="robust": whether ground lights ground in the images, as in photographs and in what
         :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
@@ -162,8 +166,8 @@ def recover(
     eps = positive_number(eps, "eps")
     cube, engine = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube), select(backend)
     if method == "robust":
+        limits = _limits(near, far, max_seconds, given, engine)
         with engine.lock:
-            limits = _limits(near, far, max_seconds, given)
             given.warnings.extend(_unused(hemicube=hemicube, eps=eps, stop=stop))
             return _labelled(_recovered(given, limits, engine, progress, interreflection), given.labels)
     _check_carving(given, near, far, interreflection)
@@ -189,7 +193,8 @@ def _check_carving(given: _Given, near: Any, far: Any, interreflection: bool | s
     }
     if any(unusable.values()):
         got = ", ".join(name for name, is_given in unusable.items() if is_given)
-        raise bad("method 'paper'", got, "one image and one source", "Use method='robust'.")
+        allowed = "one image and one source, without near, far, gaps or light between surfaces"
+        raise bad("method 'paper'", got, allowed, "Use method='robust'.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,12 +246,9 @@ def _checked(
     images, lights = list(map(filled, merged.images, merged.known)), merged.lights
     whole_number(layers, "layers", 1, MOST_LAYERS - 1)
     if albedo is None and (len(images) == 1 or method != "robust"):
-        raise bad(
-            "albedo",
-            None,
-            "a number or (rows, cols)",
-            "It can be found from several images under different lights, by method='robust'.",
-        )
+        same = "These are of one light. " if several and len(masks) > len(images) else ""
+        advice = f"{same}It can be found from several images under different lights, by method='robust'."
+        raise bad("albedo", None, "a number or (rows, cols)", advice)
     if labels is not None:  # the units that an image has are no lengths
         check_spacing(spacing, labels._replace(attrs={}))
     scene = Scene(np.zeros(images[0].shape), spacing, 1.0 if albedo is None else albedo, None, sides)
@@ -304,8 +306,7 @@ def _radiance(values: Any, mask: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_light(light: Any) -> None:
-    if not isinstance(light, sources.Source):
-        raise bad("source", type(light).__name__, "Sky, Lamp or Window")
+    sources.is_source(light)
     # what has colour, or a sun's disc, is refused here
     sources.radiance(light, np.array([[0.0, 0.0, -1.0]]))
     if not sources.number_of(light) > 0:
@@ -346,14 +347,18 @@ def _carved(
 
 
 class _Limits(NamedTuple):
-    """Between which depths (rows, cols) [nodes] the surface lies, and how long it may take."""
+    """Between which depths (rows, cols) [nodes] the surface lies, and how long it may take.
+
+    ``spent``: seconds since the call, without compiling; those of waiting for other threads count.
+    """
 
     low: np.ndarray
     high: np.ndarray
     seconds: float
+    spent: Callable[[], float]
 
 
-def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given) -> _Limits:
+def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given, engine: Backend) -> _Limits:
     for bound, name in ((near, "near"), (far, "far")):
         lies_on(given.labels, bound, name)
     seconds = math.inf if max_seconds is None else positive_number(max_seconds, "max_seconds")
@@ -366,7 +371,10 @@ def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given) -> _L
             "near >= far",
             "near < far everywhere",
         )
-    return _Limits(low, high, seconds)
+    if high.max() > MOST_LAYERS or high.max() * spacing > np.finfo(np.float32).max:
+        allowed = f"at most {MOST_LAYERS} x spacing, and at most 3.4e38"
+        raise bad("far: too deep", f"{high.max() * spacing:.3g}", allowed, "Use a smaller unit.")
+    return _Limits(low, high, seconds, stopwatch(engine))
 
 
 def _bound(value: Any, usual: float, what: str, shape: tuple[int, int]) -> np.ndarray:
@@ -394,16 +402,44 @@ class _Answer:
 def _recovered(
     given: _Given, limits: _Limits, engine: Backend, progress: Progress | None, interreflection: bool | str
 ) -> Recovery:
-    """As asked; for "auto" with light between surfaces, or without if that explains the images better, or
-    if their unit, and so what ground sends to ground, is not that of the sources.
+    """The answer, its confidence and warnings. Where it leaves much more of the images than their noise, fine
+    relief was taken for noise: then the answer to images without noise, if it leaves less.
     """
     for light in given.lights:
         _check_shape(light, given.scene.sides)
-    compiled, spent = engine.compile_seconds, stopwatch(engine)
+    compiled = engine.compile_seconds
+    answer = _explained(given, limits, engine, progress, interreflection)
+    if not answer.was_cut and diagnostics.is_relief(answer.search.pyramid, _residual(answer)):
+        again = _part(progress, 1, 2)
+        other = _explained(given, limits, engine, again, interreflection, has_noise=False)
+        if not other.was_cut and _residual(other) < _residual(answer):
+            answer = other
+        elif other.was_cut:
+            answer.warnings.extend(text for text in other.warnings if text.startswith(CUT))
+    return _recovery(given, limits, answer, compiled)
+
+
+def _residual(answer: _Answer) -> float:
+    """What the surface leaves of the images on the grid where it is, over theirs (rms)."""
+    return answer.levels[-1].residual if answer.levels else 0.0
+
+
+def _explained(
+    given: _Given,
+    limits: _Limits,
+    engine: Backend,
+    progress: Progress | None,
+    interreflection: bool | str,
+    has_noise: bool = True,
+) -> _Answer:
+    """As asked; for "auto" with light between surfaces, or without if that explains the images better, or
+    if their unit, and so what ground sends to ground, is not that of the sources.
+    """
     parts = 1 if interreflection is False else 2
-    direct = _answer(given, limits, engine, _part(progress, 0, parts), spent)
+    search = partial(_answer, given, limits, engine, has_noise=has_noise)
+    direct = search(_part(progress, 0, parts))
     if interreflection is False:
-        return _recovery(given, limits, direct, spent, compiled)
+        return direct
     if interreflection == "auto":
         left_out = [diagnostics.NO_TIME] if direct.was_cut else []
         if not (direct.was_cut or given.albedo_given):
@@ -412,11 +448,14 @@ def _recovered(
             direct.warnings.extend(left_out)
             if (rest := _part(progress, 1, parts)) and not direct.was_cut:  # there is no second part
                 rest(direct.search.pyramid.start + 1, direct.search.pyramid.start + 1)
-            return _recovery(given, limits, direct, spent, compiled)
-    answer = _answer(given, limits, engine, _part(progress, 1, parts), spent, direct)
+            return direct
+    answer = search(_part(progress, 1, parts), direct)
     if interreflection == "auto" and not answer.was_cut:
-        answer = _likelier(answer, direct)
-    return _recovery(given, limits, answer, spent, compiled)
+        try:
+            answer = _likelier(answer, direct)
+        except KeyboardInterrupt:
+            answer.warnings.append(INTERRUPTED)
+    return answer
 
 
 def _part(progress: Progress | None, number: int, parts: int) -> Progress | None:
@@ -465,11 +504,12 @@ def _answer(
     limits: _Limits,
     engine: Backend,
     progress: Progress | None,
-    spent: Callable[[], float],
     direct: _Answer | None = None,
+    *,
+    has_noise: bool,
 ) -> _Answer:
-    """The problem on all grids, and the search until ``spent`` is beyond the limit. ``direct``: the answer by
-    direct light, if this one is to be with light between surfaces.
+    """The problem on all grids, and the search until its limit of time. ``direct``: the answer by direct
+    light, if this one is to be with light between surfaces.
     """
     scene, was_cut = given.scene, True
     levels, reached = list[Level]() if direct is None else direct.levels.copy(), set[tuple[int, ...]]()
@@ -487,6 +527,7 @@ def _answer(
         *(np.maximum(limits.low, NEAREST), limits.high),
         direct is not None,
         known=given.known,
+        has_noise=has_noise,
     )
 
     def report(level: Level) -> None:
@@ -495,7 +536,8 @@ def _answer(
         if progress:
             progress(min(len(reached), pyramid.start), pyramid.start + 1)
 
-    pyramid.stop, pyramid.report, pyramid.spent = lambda: spent() > limits.seconds, report, spent
+    pyramid.report, pyramid.spent = report, limits.spent
+    pyramid.stop = lambda: limits.spent() > limits.seconds
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
     search = Search(Multigrid(pyramid, several), None if direct is None else direct.search)
     if direct is not None and direct.was_cut:
@@ -508,7 +550,7 @@ def _answer(
     except OutOfTime:
         warnings.append(f"Out of time after {limits.seconds:g} s: this is the best so far.")
     except KeyboardInterrupt:
-        warnings.append("Interrupted: this is the best so far.")
+        warnings.append(INTERRUPTED)
     low, high = pyramid.bounds[-1]
     if pyramid.best is None and direct is not None:  # cut before it had a surface of its own
         return replace(direct, search=search, warnings=warnings, was_cut=True)
@@ -516,19 +558,21 @@ def _answer(
     return _Answer(search, level, z, levels, warnings, was_cut)
 
 
-def _recovery(
-    given: _Given, limits: _Limits, answer: _Answer, spent: Callable[[], float], compiled: float
-) -> Recovery:
+def _recovery(given: _Given, limits: _Limits, answer: _Answer, compiled: float) -> Recovery:
     """Confidence, the finest grid, warnings. ``compiled``: seconds of the backend's before the call."""
     scene, search, pyramid = given.scene, answer.search, answer.search.pyramid
     level, z, low, high = answer.level, answer.z, limits.low, limits.high
     depth_range = float((high - low).mean())
     if pyramid.interreflection and not given.albedo_given:
         answer.warnings.extend(diagnostics.of_unit(_usual_albedo(answer), True))
-    rivals = search.rivals_of(level, z)
-    judged = judgement_of(search.multigrid, level, z, rivals, search.comparing, depth_range)
-    confidence = confidence_of(judged.std, depth_range)
-    ambiguous = np.isfinite(judged.others).any(0) & (confidence < UNTRUSTED)
+    rivals, bounds = search.rivals_of(level, z), (low, high)
+    try:
+        judged = judgement_of(search.multigrid, level, z, rivals, search.comparing, bounds)
+    except KeyboardInterrupt:
+        judged = unjudged(bounds)
+        answer.warnings.append(
+            "Interrupted before the confidence was known: std is that of any depth between near and far."
+        )
 
     for finer in range(level - 1, -1, -1):
         z = 2 * doubled(z, pyramid.shape(finer))
@@ -540,8 +584,15 @@ def _recovery(
             own + judged.share * (other - own)
             for own, other in ((z, judged.refit.depth), (residuals, np.array(judged.refit.residuals)))
         )
-        levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), spent())]
+        levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), limits.spent())]
+    std = judged.std
+    if share_of_images(residuals) >= 1:  # as far off as black is: it tells nothing of depth
+        std = np.maximum(std, unjudged(bounds).std)
+    confidence = confidence_of(std, depth_range)
+    ambiguous = np.isfinite(judged.others).any(0) & (confidence < UNTRUSTED)
+    depth = (z * scene.spacing).astype(np.float32)
     warnings = [*answer.warnings, *diagnostics.of_free_place(judged.place, pyramid.sources)]
+    warnings += _lamps_below(replace(scene, depth=depth), given.lights, pyramid.engine)
     warnings += [*diagnostics.of_gaps(pyramid), *diagnostics.of_limits(z, low, high)]
     for name, residual in zip(given.names if len(residuals) > 1 else ["image"], residuals):
         warnings += diagnostics.of_residual(pyramid, residual, name)
@@ -552,15 +603,14 @@ def _recovery(
         confidence[counts], ambiguous[counts], given.albedo_given, place_is_known
     )
 
-    depth = (z * scene.spacing).astype(np.float32)
     return Recovery(
         depth=depth,
         drilled=np.zeros(scene.shape, bool),
         backend=pyramid.engine.name,
-        seconds=spent(),
+        seconds=limits.spent(),
         compile_seconds=pyramid.engine.compile_seconds - compiled,
         warnings=warnings,
-        std=(judged.std * scene.spacing).astype(np.float32),
+        std=(std * scene.spacing).astype(np.float32),
         confidence=confidence.astype(np.float32),
         candidates=np.concatenate([depth[None], (judged.others * scene.spacing).astype(np.float32)]),
         ambiguous=ambiguous,
@@ -569,6 +619,14 @@ def _recovery(
         levels=tuple(levels),
         interreflection=pyramid.interreflection,
     )
+
+
+def _lamps_below(scene: Scene, lights: Sequence[sources.Source], engine: Backend) -> list[str]:
+    """A warning where the surface that was found is higher than a part of a lamp."""
+    lost = max(
+        (left_below(scene, light, engine) for light in lights if isinstance(light, sources.Lamp)), default=0.0
+    )
+    return diagnostics.of_lamps_below(lost)
 
 
 def _check_shape(light: sources.Source, sides: str) -> None:

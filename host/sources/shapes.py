@@ -371,13 +371,19 @@ def number_of(source: Source) -> float:
     return 1.0 if callable(value) else float(value)
 
 
+def is_source(source: object) -> None:
+    """InputError unless it is a Source."""
+    if not isinstance(source, Source):
+        fix = "A function of direction is a brightness: sl.Sky(brightness)." if callable(source) else ""
+        raise bad("source", type(source).__name__, "Sky, Lamp or Window", fix)
+
+
 def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     """The source's grey brightness along unit vectors (..., 3): (...) float64.
 
     Raises InputError where it is not finite or negative.
     """
-    if not isinstance(source, Source):
-        raise bad("source", type(source).__name__, "Sky, Lamp or Window")
+    is_source(source)
     brightness: Any = source.brightness
     if isinstance(brightness, tuple):
         raise bad(
