@@ -1,7 +1,7 @@
 """Depth from images: how accurate, how stable, how fast. Writes recover.json.
 
     python performance/recover.py [--backend NAME] [--sizes 64,256] [--out FOLDER]
-        [--what accuracy,stability,albedo,between,suspected,terrain,speed]
+        [--what accuracy,stability,albedo,between,suspected,fine,terrain,speed]
     python performance/recover.py --without NAME[,NAME...]|all [--backend NAME] [--out FOLDER]
 
 Surfaces and images are those of tests/surfaces.py: continuous surfaces, rendered five times as finely in a
@@ -10,10 +10,13 @@ best for each surface with the truth in hand. --without: see performance/recover
 """
 
 import argparse
+import importlib
+import itertools
 import json
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
@@ -24,7 +27,11 @@ import surfaces
 from surfaces import ALBEDO, LAYERS, SURFACES, pair, rms, source_of
 
 import skylamp as sl
+from skylamp.inverse import diagnostics
+from skylamp.inverse.pyramid import IMAGE_RMS
 
+recovery = importlib.import_module("skylamp.inverse.recover")  # skylamp.inverse.recover is the function too
+EXPLAINED = recovery._explained
 EPS = (0.002, 0.01, 0.02, 0.05, 0.1)
 
 
@@ -253,6 +260,59 @@ def suspected(backend, size=32):
                 }
 
 
+def fine(backend, size=32, seeds=6):
+    """What tells fine relief from noise: residual over noise, correlation of residuals, and what an answer
+    to images without noise leaves.
+    """
+    lights = {
+        "lamp beside": sl.Lamp((4, 16, -8), radius=3),
+        "lamp above": sl.Lamp((16, 16, -12), radius=4),
+        "sky": sl.Sky(),
+    }
+    images = [("relief", blur, "", 0.0) for blur in (0.7, 0.8, 0.9, 1.0)]
+    images += [("both", 0.8, "even", share) for share in (0.05, 0.1)]
+    images += [
+        ("noise", 2.0, kind, share) for kind in ("even", "root", "as light") for share in (0.03, 0.1, 0.2)
+    ]
+    for seed, light, (what, blur, kind, share) in itertools.product(range(seeds), lights, images):
+        depth, finer = surfaces.fine(seed, blur, size)
+        image = surfaces.fine_image(finer, lights[light])
+        power = {"": 0, "even": 0, "root": 0.5, "as light": 1}[kind]
+        random = np.random.default_rng(seed).standard_normal(image.shape)
+        image = np.maximum(image + share * rms(image) ** (1 - power) * image**power * random, 0)
+        answers, told, told_by = [], [], diagnostics.is_relief
+
+        def explained(*args, answers=answers, **more):
+            answers.append(EXPLAINED(*args, **more))
+            return answers[-1]
+
+        def always(pyramid, off, told=told, told_by=told_by):
+            told.append((bool(told_by(pyramid, off)), diagnostics.correlation_of(off)))
+            return True
+
+        with (
+            mock.patch.object(recovery, "_explained", explained),
+            mock.patch.object(diagnostics, "is_relief", always),
+        ):
+            sl.recover(image, lights[light], 0.5, "dark", layers=32, backend=backend, interreflection=False)
+        first, second = answers
+        yield {
+            "what": what,
+            "blur": blur,
+            "noise": kind,
+            "share": share,
+            "seed": seed,
+            "light": light,
+            "noise taken": first.search.pyramid.noise / IMAGE_RMS,
+            "residual": first.levels[-1].residual,
+            "residual without noise": second.levels[-1].residual,
+            "correlated": told[0][1],
+            "is relief": told[0][0],
+            "rms": rms(first.z - depth),
+            "rms without noise": rms(second.z - depth),
+        }
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -277,6 +337,7 @@ def main():
             "terrain": real,
             "between": between,
             "suspected": suspected,
+            "fine": fine,
             "speed": lambda backend: speed(backend, map(int, options.sizes.split(","))),
         }[what]
         done[what] = []

@@ -174,3 +174,24 @@ def compared(depth, found):
 
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def fine(seed, blur, size=32):
+    """(depth, on the finer grid too) of random relief of 6 nodes, 4 below the viewer, whose finest waves are
+    close to those that the grid can hold: with ``blur`` 0.7 a node, half of it is below 6 nodes.
+    """
+    waves = np.fft.fft2(np.random.default_rng(seed).standard_normal((size, size)))
+    numbers = np.fft.fftfreq(size)
+    waves *= np.exp(-20 * (blur * np.hypot(numbers[:, None], numbers)) ** 2)
+    finer, at = np.zeros((FINER * size,) * 2, complex), np.rint(size * numbers).astype(int)
+    finer[np.ix_(at, at)] = waves
+    relief = np.fft.ifft2(finer).real
+    finer = 4 + 6 * (relief - relief.min()) / np.ptp(relief)
+    return finer[::FINER, ::FINER], finer
+
+
+def fine_image(finer, light, albedo=0.5):
+    """Direct light of the grid's nodes on such relief, in a box."""
+    scene = sl.Scene(finer, spacing=1 / FINER, albedo=albedo, sides="dark")
+    image = sl.render(scene, light, method="horizon", azimuths=64, interreflection=False).image
+    return np.asarray(image[::FINER, ::FINER], float)

@@ -47,12 +47,16 @@ TOO_BRIGHT, TOO_MANY = 0.1, 0.02
 IN_ANOTHER_UNIT = 3.0
 # standard deviations of noise by which a pixel may be brighter than the model; 0.3 of 10^6 normal ones are
 DEVIATIONS = 5
-# residual over noise that was estimated, above which it is not that of noise. Measured on nine smooth
-# surfaces (32 x 32, a sky and two lamps): 0.8 to 1.1 with noise of 3, 10 and 20 % that is even or as the root
-# of brightness, up to 1.43 with noise as brightness; of noise-free images of fine relief, 1.75 to 2.7
+# residual over the noise that was estimated, up to which noise explains it. By performance/recover.py
+# --what fine it is 0.9 to 1.1 with noise that is even or as the root of brightness, up to 1.5 with noise as
+# brightness
 NOISE_TIMES = 1.6
+# the same above which what was taken for noise may be fine relief, if the residual is correlated too, by so
+# many standard deviations of the correlation of white noise. Fine relief there: 1.2 to 3.4, and 3.7 to 10;
+# noise above 1.2: -5.1 to -1.8
+RELIEF_TIMES, CORRELATED = 1.2, 3.0
 # noise over the image (RMS) from which on it may be fine relief; chosen: less hardly smooths. In those images
-# it is 0.03 to 0.13, so that half and twice give the same answers
+# it is 0.02 to 0.25, so that half gives the same answers, and twice all but one
 LEAST_TAKEN = 0.01
 # grey levels of an image: steps of fewer are coarser than a quarter of the usual eps of carving, 0.02; chosen
 FEWEST_COUNTS = 200
@@ -167,7 +171,7 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") ->
             f"{image.capitalize()} brighter than the model can make it at {too_bright.mean():.0%} of the"
             " pixels: a larger albedo or brightness, or other sides, may be right."
         )
-    if rms > _by_noise(pyramid, POORLY):
+    if rms > _by_noise(pyramid, POORLY, NOISE_TIMES):
         why = "; check sides, albedo and source; or the relief is finer than the resolution."
         if _worse_at_rim(residual):
             why = f", mostly near the border: check the sides (sides={pyramid.sides!r} was given)."
@@ -176,19 +180,32 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") ->
     return warnings
 
 
-def _by_noise(pyramid: Pyramid, rest: float) -> float:
-    """Residual over the image (RMS) up to which noise and another part, the ``rest``, may raise it."""
-    return math.hypot(rest, NOISE_TIMES * pyramid.noise / IMAGE_RMS)
+def _by_noise(pyramid: Pyramid, rest: float, times: float) -> float:
+    """Residual over the image (RMS) up to which so many times the noise, and the ``rest``, may raise it."""
+    return math.hypot(rest, times * pyramid.noise / IMAGE_RMS)
 
 
-def is_relief(pyramid: Pyramid, residual: float) -> bool:
-    """Whether what was taken for noise is fine relief, since an answer leaves so much of the images (RMS)."""
-    return pyramid.noise > LEAST_TAKEN * IMAGE_RMS and residual > _by_noise(pyramid, POORLY)
+def is_relief(pyramid: Pyramid, residuals: np.ndarray) -> bool:
+    """Whether fine relief was taken for noise, and smoothed away: an answer leaves more of the images than
+    their noise, and neighbouring residuals (n, rows, cols) are alike, where those of noise are not.
+    """
+    if pyramid.noise <= LEAST_TAKEN * IMAGE_RMS:
+        return False
+    if share_of_images(residuals) <= _by_noise(pyramid, POORLY, RELIEF_TIMES):
+        return False
+    return correlation_of(residuals) > CORRELATED
+
+
+def correlation_of(residuals: np.ndarray) -> float:
+    """Correlation of neighbours in residuals (n, rows, cols), over its standard deviation in white noise."""
+    off = residuals - residuals.mean((1, 2), keepdims=True)
+    pairs = np.concatenate([(off[:, 1:] * off[:, :-1]).ravel(), (off[:, :, 1:] * off[:, :, :-1]).ravel()])
+    return float(pairs.mean() / np.mean(off**2) * math.sqrt(len(pairs)))
 
 
 def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
     """Warning that light between surfaces is not explained; residual: of all images, over their rms."""
-    if not pyramid.interreflection or residual <= _by_noise(pyramid, UNSETTLED):
+    if not pyramid.interreflection or residual <= _by_noise(pyramid, UNSETTLED, NOISE_TIMES):
         return []
     return [
         f"Light between surfaces: model and image still differ by {residual:.1%} (rms). Its derivatives are"

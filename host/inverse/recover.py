@@ -35,6 +35,9 @@ from .search import OutOfTime, Rival, Search
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 MOST_LAYERS = 2**20
+DEEPEST = (
+    1e30  # [nodes] that a bound of depth may be; chosen: sums and products of depths stay within float32
+)
 CANDIDATE_DEPTH = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
 MAPS = (  # fields of Recovery that are maps
     Quantity("depth", None, "depth, in the unit of spacing"),
@@ -51,6 +54,9 @@ DIRECT_SHARE = 0.25
 # eleven images with light between surfaces (28 to 40 nodes a side) that light left at most 0.0007; of direct
 # images, where it did not explain them too, 0.0027 and more. Without it two of the eleven are called direct
 MODEL_RESIDUAL = 6e-4
+# share of the residual that an answer to images without noise may leave, to be taken. By
+# performance/recover.py --what fine it leaves 0.02 to 0.14 of fine relief; with noise alone, 0.12 to 0.63 of what that leaves
+RELIEF_SHARE = 0.25
 LEAST_RESIDUAL = 1e-12  # that another is divided by
 INTERRUPTED = "Interrupted: this is the best so far."
 CUT = "Out of time", "Interrupted"  # how warnings of a search that was cut begin
@@ -371,8 +377,8 @@ def _limits(near: Any, far: Any, max_seconds: float | None, given: _Given, engin
             "near >= far",
             "near < far everywhere",
         )
-    if high.max() > MOST_LAYERS or high.max() * spacing > np.finfo(np.float32).max:
-        allowed = f"at most {MOST_LAYERS} x spacing, and at most 3.4e38"
+    if high.max() > DEEPEST or high.max() * spacing > np.finfo(np.float32).max:
+        allowed = f"at most {DEEPEST:g} x spacing, and at most 3.4e38"
         raise bad("far: too deep", f"{high.max() * spacing:.3g}", allowed, "Use a smaller unit.")
     return _Limits(low, high, seconds, stopwatch(engine))
 
@@ -402,26 +408,28 @@ class _Answer:
 def _recovered(
     given: _Given, limits: _Limits, engine: Backend, progress: Progress | None, interreflection: bool | str
 ) -> Recovery:
-    """The answer, its confidence and warnings. Where it leaves much more of the images than their noise, fine
-    relief was taken for noise: then the answer to images without noise, if it leaves less.
+    """The answer, its confidence and warnings: that to images without noise, if it leaves much less of them
+    where fine relief may have been taken for noise.
     """
     for light in given.lights:
         _check_shape(light, given.scene.sides)
     compiled = engine.compile_seconds
     answer = _explained(given, limits, engine, progress, interreflection)
-    if not answer.was_cut and diagnostics.is_relief(answer.search.pyramid, _residual(answer)):
+    if not (answer.was_cut or answer.level) and diagnostics.is_relief(answer.search.pyramid, _off(answer)):
         again = _part(progress, 1, 2)
         other = _explained(given, limits, engine, again, interreflection, has_noise=False)
-        if not other.was_cut and _residual(other) < _residual(answer):
-            answer = other
-        elif other.was_cut:
+        if other.was_cut:
             answer.warnings.extend(text for text in other.warnings if text.startswith(CUT))
+        elif other.levels[-1].residual < RELIEF_SHARE * answer.levels[-1].residual:
+            answer = other
     return _recovery(given, limits, answer, compiled)
 
 
-def _residual(answer: _Answer) -> float:
-    """What the surface leaves of the images on the grid where it is, over theirs (rms)."""
-    return answer.levels[-1].residual if answer.levels else 0.0
+def _off(answer: _Answer) -> np.ndarray:
+    """Models less images (n, rows, cols) of a surface of the finest grid, in the unit of the pyramid."""
+    pyramid = answer.search.pyramid
+    off: np.ndarray = np.stack(pyramid.problem(0).irradiances(answer.z)) - np.stack(pyramid.images[0])
+    return off
 
 
 def _explained(
@@ -488,7 +496,7 @@ def _unexplained(answer: _Answer) -> tuple[float, float]:
     pyramid, left = answer.search.pyramid, answer.levels[-1].residual
     if answer.level or not pyramid.is_small(0) or not pyramid.albedo_known:
         return left, left
-    residuals = np.stack(pyramid.problem(0).irradiances(answer.z)) - np.stack(pyramid.images[0])
+    residuals = _off(answer)
     refit = refit_of(pyramid, 0, answer.z)
     return left, share_of_images(residuals + refit.share * (np.stack(refit.residuals) - residuals))
 
