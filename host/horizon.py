@@ -19,7 +19,7 @@ from .light.sweeps import FINE_NEAR_ROWS, Rays, Sweeps, engine_of, ground_of
 from .render_options import sectors_of
 from .samples import least_slope, samples_of
 from .scale import limited, over_tiles
-from .scene import Scene, is_scene
+from .scene import Scene, check_scene
 from .sources.tables import elevation_of
 
 LARGE = 2**28  # [byte] below which free memory is not looked up; chosen: that takes .15 ms
@@ -288,5 +288,5 @@ def _upside_down(scene: Scene) -> Any:
 def _scene_of(given: Any) -> Scene:
     """The scene of an xarray.DataArray of heights; anything else is returned as it is."""
     scene = given if labels_of(given) is None else Scene.from_height(given)
-    is_scene(scene)
+    check_scene(scene)
     return scene.under_sky()

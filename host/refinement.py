@@ -26,10 +26,10 @@ from .planning.lattice import LatticePlanner
 from .planning.plan import Choice, Plan, Step, larger, percent
 from .planning.sky import SkyPlanner
 from .samples import ESTIMATE_SHARE
-from .scene import Scene, is_scene
+from .scene import Scene, check_scene
 
 # default bound on the 99.9th percentile of the error, in tolerances; chosen: over the images of
-# docs/refinement.csv it is 3.9, 7.1 and 13 times the RMS error (5th, median and 95th percentile)
+# docs/refinement.csv that percentile is 3.9, 7.1 and 13 times the RMS error (5th, median and 95th percentile)
 DEFAULT_TAIL = 10.0
 # error ratios: an image's error over its half difference. ASSUMED_ERROR_RATIO is taken where the samples
 # cannot measure the ratio: the median of 60 lamps and windows (96 x 96). MOST_ERROR_RATIO bounds it: error
@@ -103,7 +103,7 @@ def plan(
     ------
     InputError, BackendError, CapacityError
     """
-    is_scene(scene)
+    check_scene(scene)
     check_choice(interreflection)
     engine = select(backend)
     if isinstance(source, sources.Sky):
@@ -288,7 +288,7 @@ def choose(
     """The planner for this kind of source, with the method and units that an image begins with."""
     tolerance = positive_number(tolerance, "tolerance")
     tail = DEFAULT_TAIL * tolerance if tail is None else positive_number(tail, "tail")
-    sources.is_source(source)
+    sources.check_source(source)
     if scene.sides == "periodic" or not (isinstance(source, sources.Lamp) and source.corner is not None):
         sources.geometry(source, scene, 1.0)  # checks that they fit
     planner_class: type[Planner] = SlicePlanner

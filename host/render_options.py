@@ -15,7 +15,7 @@ from .interreflection import check_choice
 from .light import lattice
 from .light.propagation import Lobe
 from .reflectance import BRDF
-from .scene import Scene, is_scene
+from .scene import Scene, check_scene
 
 RENDER_METHODS = ("auto", "lattice", "horizon", "unoccluded")
 DEFAULT_AZIMUTHS = 64  # of method "horizon", unless given
@@ -84,13 +84,13 @@ class Options:
 
     def check(self, scene: Scene, source: sources.Source) -> None:
         """InputError unless all arguments go together."""
-        is_scene(scene)
+        check_scene(scene)
         one_of(self.method, RENDER_METHODS, "method")
         one_of(self.quantity, tuple(IMAGES), "quantity")
         one_of(self.weights, ("moment", "printed"), "weights")
         if not isinstance(self.filled, (bool, type(None))):
             raise bad("filled", repr(self.filled), "True, False or None")
-        sources.is_source(source)
+        sources.check_source(source)
         positive_number(self.tolerance, "tolerance")
         check_choice(self.interreflection)
         if not isinstance(self.parts, bool):

@@ -26,9 +26,9 @@ from .scale import (
     AUDITED,
     Audit,
     Lights,
+    check_tiling,
     decided,
     holds,
-    is_tiling,
     layout_of,
     over_area,
     seen_from_edge,
@@ -68,7 +68,7 @@ def goes_in_tiles(
     options: Options, scene: Scene, source: sources.Source, engine: Backend, tiling: Tiling | None
 ) -> bool:
     """Whether tiles are asked for, which may be an InputError, or are needed and possible."""
-    is_tiling(tiling)
+    check_tiling(tiling)
     asked = scene.lazy is not None or tiling is not None
     if not asked and holds(*scene.shape, engine):
         return False

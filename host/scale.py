@@ -177,7 +177,7 @@ def layout_of(
     scene: Scene, tiling: Tiling | None, max_distance: float | None, audit: Audit, between: bool | None
 ) -> Layout:
     """The layout of a scene's map, checked; ``between``: as for :func:`layout_of_map`."""
-    is_tiling(tiling)
+    check_tiling(tiling)
     layout = layout_of_map(
         tiling or USUAL, scene.shape, scene.spacing, scene.sides == "periodic", max_distance, audit, between
     )
@@ -196,7 +196,7 @@ def layout_of(
     return layout
 
 
-def is_tiling(tiling: Tiling | None) -> None:
+def check_tiling(tiling: Tiling | None) -> None:
     """InputError unless it is a Tiling, or none is given."""
     if not isinstance(tiling, (Tiling, type(None))):
         raise bad("tiling", type(tiling).__name__, "a skylamp.Tiling")

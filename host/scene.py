@@ -440,7 +440,7 @@ def _range_of(values: np.ndarray, mask: np.ndarray | None) -> tuple[Any, Any]:
     return float(np.min(lows)), float(np.max(highs))
 
 
-def is_scene(scene: object) -> None:
+def check_scene(scene: object) -> None:
     """InputError unless ``scene`` is a Scene."""
     if not isinstance(scene, Scene):
         raise bad(

@@ -20,7 +20,7 @@ from .light.interreflection import Glossy
 from .light.propagation import Lobe
 from .light.slices import Slices
 from .reflectance import BRDF, Mirror, Phong, frames, mirror_directions
-from .scene import Scene, is_scene
+from .scene import Scene, check_scene
 from .sources.solids import Dome
 
 # Gauss-Legendre nodes between horizon and zenith, of a BRDF under a sky: of every other azimuth each, so that
@@ -73,7 +73,7 @@ def normals(scene: Scene) -> np.ndarray:
     Example: ``(1 + sl.normals(scene) * (1, -1, -1)) / 2`` is a normal map's RGB: x right, y up, z to the
     viewer.
     """
-    is_scene(scene)
+    check_scene(scene)
     valid = scene.valid
     along = tilts(scene) * np.asarray(scene.axes, np.float32)[:, None, None]
     normal = np.stack([*along, np.full(scene.shape, -1, np.float32)], -1)

@@ -17,7 +17,7 @@ from .images import is_in_colour
 from .light import lattice, propagation
 from .light.propagation import Problem, Progress
 from .rendering import render
-from .scene import Scene, is_scene
+from .scene import Scene, check_scene
 
 
 def visibility(
@@ -55,7 +55,7 @@ def visibility(
                 "filled=False: propagation goes from node to node",
             )
         return visibility_field(scene, source, cube, backend=backend, max_seconds=max_seconds).surface()
-    is_scene(scene)
+    check_scene(scene)
     if isinstance(source, sources.Sky):
         scene = scene.under_sky()
     engine = select(backend)
@@ -93,7 +93,7 @@ def visibility_field(
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     if progress is not None and not callable(progress):
         raise bad("progress", repr(progress), "a function of (layers done, layers), or None")
-    is_scene(scene)
+    check_scene(scene)
     depth, step = scene.layers()
     known = depth[scene.valid]
     if layers is None:

@@ -22,7 +22,7 @@ from ..horizon import horizon_at
 from ..inverse.recover import Recovery
 from ..io.files import numbers
 from ..io.paths import StrPath, destination, replacing
-from ..scene import Scene, is_scene
+from ..scene import Scene, check_scene
 from ..sources.cie import CieSky
 from ..visibility import View, VisibilityField
 
@@ -158,7 +158,7 @@ def horizon(
     installed.
     """
     _matplotlib()
-    is_scene(scene)
+    check_scene(scene)
     azimuths = whole_number(azimuths, "plot.horizon: azimuths", 3, 10_000)
     row = whole_number(row, "plot.horizon: row", 0, scene.shape[0] - 1)
     col = whole_number(col, "plot.horizon: col", 0, scene.shape[1] - 1)

@@ -20,7 +20,7 @@ from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
 from .place import FreePlace, free_place, most_of
 from .posterior import posterior_deviation, posterior_samples, shift_by
-from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, on_coarser_grid, shown
+from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, noise_at, on_coarser_grid, residuals_of, shown
 from .resampling import blurred, distance_from, doubled, halved, halved_depth
 from .search import Rival
 
@@ -118,13 +118,11 @@ def judgement_of(
     """
     pyramid = multigrid.pyramid
     place = free_place(pyramid, float(np.mean(z)) * 2**level)
-    pairs = zip(pyramid.problem(level).irradiances(z), pyramid.images[level])
-    misfit = blurred(np.mean([(light - image) ** 2 for light, image in pairs], axis=0))
+    misfit = blurred(np.mean(residuals_of(pyramid, level, z) ** 2, axis=0))
     small, grid = z, level
     while max(small.shape) > SMALL and grid < pyramid.coarsest:
         small, misfit, grid = halved_depth(small), halved(misfit), grid + 1
-    for _ in range(grid - rivals_at):
-        rivals = [Rival(halved_depth(difference), weight) for difference, weight in rivals]
+    rivals = [Rival(halved_depth(off, grid - rivals_at), weight) for off, weight in rivals]
     variance = np.full(small.shape, (LEAST_STD / 2 ** (grid - level)) ** 2)
     if not pyramid.albedo_known:
         variance = variance + by_even_albedo(pyramid, grid, small)
@@ -165,7 +163,7 @@ def by_noise(judged: Judged) -> np.ndarray:
         posterior_deviation(pyramid.problem(level), judged.z, pyramid.smoothness(level), PROBE) / PROBE
     )
     pyramid.problem(level).set_targets(pyramid.images[level])
-    noise = (pyramid.noise * 0.5**level) ** 2
+    noise = noise_at(pyramid, level) ** 2
     beyond = MISFIT_WEIGHT**2 * np.maximum(judged.misfit - noise, 0)
     return per_noise**2 * (noise + beyond + model_error(pyramid) ** 2)
 
@@ -298,8 +296,8 @@ def refitted(multigrid: Multigrid, level: int, start: np.ndarray, z: np.ndarray)
 
 def misfit_around(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
     """Mean squares of model - image around every node, plus those of noise and of the least model error."""
-    squares = (pyramid.problem(level).irradiances(z)[0] - pyramid.images[level][0]) ** 2
-    least: float = model_error(pyramid) ** 2 + (pyramid.noise * 0.5**level) ** 2
+    squares = residuals_of(pyramid, level, z)[0] ** 2
+    least: float = model_error(pyramid) ** 2 + noise_at(pyramid, level) ** 2
     return blurred(squares, 3) + least
 
 

@@ -1,4 +1,6 @@
-"""Warnings that follow from the images alone, and from the difference of model and images."""
+"""Warnings of recover(), and what decides on them: of images and lights before the search, of residuals,
+limits and doubt after it. And whether a residual is noise or relief.
+"""
 
 from __future__ import annotations
 
@@ -246,7 +248,7 @@ def of_unit(albedo: float, with_ground: bool) -> list[str]:
 
 
 def _worse_at_rim(residual: np.ndarray) -> bool:
-    """Whether its variance is RIM_RATIO times as large near the border as inside."""
+    """Whether the mean square of a residual near the border is more than RIM_RATIO times that inside."""
     rim = np.ones(residual.shape, bool)
     edge = max(1, min(residual.shape) // RIM_PART)
     rim[edge:-edge, edge:-edge] = False

@@ -15,7 +15,7 @@ import numpy as np
 from ..light.interreflection import Round
 from .descent import Descent
 from .multigrid import CLOSE, ITERATIONS
-from .pyramid import NEAREST, Pyramid, on_coarser_grid
+from .pyramid import NEAREST, Pyramid, noise_at, on_coarser_grid
 from .resampling import cubic
 
 FINER, FINER_AZIMUTHS = 3, 64  # refinement, azimuths
@@ -56,7 +56,7 @@ def refit_of(pyramid: Pyramid, level: int, z: np.ndarray) -> Refit:
     residuals = [light - target for light, target in zip(problem.irradiances(depth), targets)]
     problem.set_targets(images)
     of_model = float(np.mean(np.square(errors, dtype=np.float64)))
-    share = of_model / (of_model + (pyramid.noise * 0.5**level) ** 2 + LEAST_VARIANCE)
+    share = of_model / (of_model + noise_at(pyramid, level) ** 2 + LEAST_VARIANCE)
     return Refit(depth, residuals, share)
 
 

@@ -185,14 +185,14 @@ class Pyramid:
     def smoothness(self, level: int) -> float:
         """Weight of squared second differences: variance of noise on a grid over that of the prior."""
         variance = PRIOR_VARIANCE if level >= self.start else ADDED_VARIANCE
-        return self.least_smoothness(level) + (self.noise * 0.5**level) ** 2 / variance
+        return self.least_smoothness(level) + noise_at(self, level) ** 2 / variance
 
     def least_smoothness(self, level: int) -> float:
         return LEAST_SMOOTHNESS if self.is_small(level) or level >= self.start else LEAST_ON_LARGE
 
     def good_objective(self, level: int) -> float:
         """The objective below which another minimum is not looked for."""
-        deviation = GOOD_RESIDUAL * IMAGE_RMS + self.noise * 0.5**level
+        deviation = GOOD_RESIDUAL * IMAGE_RMS + noise_at(self, level)
         return float(0.5 * self.images[level][0].size * len(self.sources) * deviation**2)
 
     def problem(self, level: int) -> Descent:
@@ -280,6 +280,17 @@ class Pyramid:
             "%d x %d: residual %.2g of the image, %.1f s", *reached.shape, reached.residual, reached.seconds
         )
         self.report(reached)
+
+
+def noise_at(pyramid: Pyramid, level: int) -> float:
+    """Standard deviation of the noise of a pixel of a grid, the mean of pixels of the finest."""
+    return float(pyramid.noise * 0.5**level)
+
+
+def residuals_of(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
+    """Models less images (n, rows, cols) of the surface z of a grid, in the unit of the pyramid."""
+    off: np.ndarray = np.stack(pyramid.problem(level).irradiances(z)) - np.stack(pyramid.images[level])
+    return off
 
 
 def without_gaps(pyramid: Pyramid) -> Pyramid:

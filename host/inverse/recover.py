@@ -28,7 +28,7 @@ from .carving import carved_layers
 from .confidence import UNTRUSTED, confidence_of, judgement_of, unjudged
 from .finer_model import refit_of
 from .multigrid import Multigrid
-from .pyramid import NEAREST, Level, Pyramid, share_of_images
+from .pyramid import NEAREST, Level, Pyramid, residuals_of, share_of_images
 from .resampling import doubled, filled, halved_depth
 from .search import OutOfTime, Rival, Search
 
@@ -55,11 +55,10 @@ DIRECT_SHARE = 0.25
 # images, where it did not explain them too, 0.0027 and more. Without it two of the eleven are called direct
 MODEL_RESIDUAL = 6e-4
 # share of the residual that an answer to images without noise may leave, to be taken. By
-# performance/recover.py --what fine it leaves 0.02 to 0.14 of fine relief; with noise alone, 0.12 to 0.63 of what that leaves
+# performance/recover.py --what fine it leaves 0.02 to 0.14 of fine relief, 0.12 to 0.63 of noise alone
 RELIEF_SHARE = 0.25
 LEAST_RESIDUAL = 1e-12  # that another is divided by
 INTERRUPTED = "Interrupted: this is the best so far."
-CUT = "Out of time", "Interrupted"  # how warnings of a search that was cut begin
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +311,7 @@ def _radiance(values: Any, mask: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_light(light: Any) -> None:
-    sources.is_source(light)
+    sources.check_source(light)
     # what has colour, or a sun's disc, is refused here
     sources.radiance(light, np.array([[0.0, 0.0, -1.0]]))
     if not sources.number_of(light) > 0:
@@ -395,14 +394,17 @@ def _bound(value: Any, usual: float, what: str, shape: tuple[int, int]) -> np.nd
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """The surface z of grid ``level`` that a search ended with, or had when it was cut short."""
+    """The surface z of grid ``level`` that a search ended with, or had when it was cut short.
+
+    ``cut``: the warning that it was, which is among ``warnings`` too; else nothing.
+    """
 
     search: Search
     level: int
     z: np.ndarray
     levels: list[Level]
     warnings: list[str]
-    was_cut: bool
+    cut: str
 
 
 def _recovered(
@@ -415,21 +417,16 @@ def _recovered(
         _check_shape(light, given.scene.sides)
     compiled = engine.compile_seconds
     answer = _explained(given, limits, engine, progress, interreflection)
-    if not (answer.was_cut or answer.level) and diagnostics.is_relief(answer.search.pyramid, _off(answer)):
+    pyramid = answer.search.pyramid
+    whole = not answer.cut and answer.level == 0
+    if whole and diagnostics.is_relief(pyramid, residuals_of(pyramid, 0, answer.z)):
         again = _part(progress, 1, 2)
         other = _explained(given, limits, engine, again, interreflection, has_noise=False)
-        if other.was_cut:
-            answer.warnings.extend(text for text in other.warnings if text.startswith(CUT))
+        if other.cut:
+            answer.warnings.append(other.cut)
         elif other.levels[-1].residual < RELIEF_SHARE * answer.levels[-1].residual:
             answer = other
     return _recovery(given, limits, answer, compiled)
-
-
-def _off(answer: _Answer) -> np.ndarray:
-    """Models less images (n, rows, cols) of a surface of the finest grid, in the unit of the pyramid."""
-    pyramid = answer.search.pyramid
-    off: np.ndarray = np.stack(pyramid.problem(0).irradiances(answer.z)) - np.stack(pyramid.images[0])
-    return off
 
 
 def _explained(
@@ -449,20 +446,20 @@ def _explained(
     if interreflection is False:
         return direct
     if interreflection == "auto":
-        left_out = [diagnostics.NO_TIME] if direct.was_cut else []
-        if not (direct.was_cut or given.albedo_given):
+        left_out = [diagnostics.NO_TIME] if direct.cut else []
+        if not (direct.cut or given.albedo_given):
             left_out = diagnostics.of_unit(_usual_albedo(direct), False)
         if left_out:
             direct.warnings.extend(left_out)
-            if (rest := _part(progress, 1, parts)) and not direct.was_cut:  # there is no second part
+            if (rest := _part(progress, 1, parts)) and not direct.cut:  # there is no second part
                 rest(direct.search.pyramid.start + 1, direct.search.pyramid.start + 1)
             return direct
     answer = search(_part(progress, 1, parts), direct)
-    if interreflection == "auto" and not answer.was_cut:
+    if interreflection == "auto" and not answer.cut:
         try:
             answer = _likelier(answer, direct)
         except KeyboardInterrupt:
-            answer.warnings.append(INTERRUPTED)
+            answer = replace(answer, warnings=[*answer.warnings, INTERRUPTED], cut=INTERRUPTED)
     return answer
 
 
@@ -481,9 +478,7 @@ def _likelier(answer: _Answer, direct: _Answer) -> _Answer:
     told = (np.hypot(left[one], MODEL_RESIDUAL) for one in (direct, answer))
     is_direct = any(less < DIRECT_SHARE * more for less, more in zip(*told))
     own, other = (direct, answer) if is_direct else (answer, direct)
-    difference = other.z - own.z
-    for _ in range(own.search.comparing - own.level):
-        difference = halved_depth(difference)
+    difference = halved_depth(other.z - own.z, own.search.comparing - own.level)
     likeness = min(1.0, left[own][-1] / max(left[other][-1], LEAST_RESIDUAL))
     own.search.rivals.append(Rival(difference, likeness**4))
     return own
@@ -496,7 +491,7 @@ def _unexplained(answer: _Answer) -> tuple[float, float]:
     pyramid, left = answer.search.pyramid, answer.levels[-1].residual
     if answer.level or not pyramid.is_small(0) or not pyramid.albedo_known:
         return left, left
-    residuals = _off(answer)
+    residuals = residuals_of(pyramid, 0, answer.z)
     refit = refit_of(pyramid, 0, answer.z)
     return left, share_of_images(residuals + refit.share * (np.stack(refit.residuals) - residuals))
 
@@ -519,7 +514,7 @@ def _answer(
     """The problem on all grids, and the search until its limit of time. ``direct``: the answer by direct
     light, if this one is to be with light between surfaces.
     """
-    scene, was_cut = given.scene, True
+    scene, cut = given.scene, ""
     levels, reached = list[Level]() if direct is None else direct.levels.copy(), set[tuple[int, ...]]()
     lights = [_in_nodes(light, scene.spacing) for light in given.lights]
     warnings = diagnostics.of_images(
@@ -548,22 +543,22 @@ def _answer(
     pyramid.stop = lambda: limits.spent() > limits.seconds
     several = any(map(_directed, lights))  # answers: then the lower objective need not be the right one's
     search = Search(Multigrid(pyramid, several), None if direct is None else direct.search)
-    if direct is not None and direct.was_cut:
+    if direct is not None and direct.cut:
         return replace(direct, search=search)
     try:
         search.run()
         if progress:
             progress(pyramid.start + 1, pyramid.start + 1)
-        was_cut = False
     except OutOfTime:
-        warnings.append(f"Out of time after {limits.seconds:g} s: this is the best so far.")
+        cut = f"Out of time after {limits.seconds:g} s: this is the best so far."
     except KeyboardInterrupt:
-        warnings.append(INTERRUPTED)
+        cut = INTERRUPTED
+    warnings += [cut] if cut else []
     low, high = pyramid.bounds[-1]
     if pyramid.best is None and direct is not None:  # cut before it had a surface of its own
-        return replace(direct, search=search, warnings=warnings, was_cut=True)
+        return replace(direct, search=search, warnings=warnings, cut=cut)
     level, z = pyramid.best or (pyramid.coarsest, (low + high) / 2)
-    return _Answer(search, level, z, levels, warnings, was_cut)
+    return _Answer(search, level, z, levels, warnings, cut)
 
 
 def _recovery(given: _Given, limits: _Limits, answer: _Answer, compiled: float) -> Recovery:
@@ -586,7 +581,7 @@ def _recovery(given: _Given, limits: _Limits, answer: _Answer, compiled: float) 
         z = 2 * doubled(z, pyramid.shape(finer))
     z = np.clip(z, low, high)
     levels = answer.levels
-    residuals = np.stack(pyramid.problem(0).irradiances(z)) - np.stack(pyramid.images[0])
+    residuals = residuals_of(pyramid, 0, z)
     if judged.refit is not None:
         z, residuals = (
             own + judged.share * (other - own)
@@ -638,7 +633,7 @@ def _lamps_below(scene: Scene, lights: Sequence[sources.Source], engine: Backend
 
 
 def _check_shape(light: sources.Source, sides: str) -> None:
-    """Refuses sources that slices cannot represent."""
+    """InputError for sources that slices cannot represent, on these sides."""
     if (isinstance(light, sources.Lamp) and light.volume is not None) or (
         isinstance(light, sources.Window) and light.aperture is not None
     ):

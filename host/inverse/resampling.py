@@ -41,9 +41,11 @@ def distance_from(known: np.ndarray) -> np.ndarray:
     return distance
 
 
-def halved_depth(z: np.ndarray) -> np.ndarray:
-    """A depth map [nodes] on the next coarser grid, in that grid's nodes."""
-    return halved(z) / 2
+def halved_depth(z: np.ndarray, times: int = 1) -> np.ndarray:
+    """A depth map [nodes] on the grid that is so many times coarser, in that grid's nodes."""
+    for _ in range(times):
+        z = halved(z) / 2
+    return z
 
 
 def doubled(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

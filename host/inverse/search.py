@@ -22,7 +22,7 @@ import numpy as np
 
 from .descent import Solution, bounced
 from .multigrid import FROM_COARSER, Multigrid
-from .pyramid import SMALL, Pyramid, on_coarser_grid, without, without_gaps
+from .pyramid import SMALL, Pyramid, on_coarser_grid, residuals_of, without, without_gaps
 from .resampling import blurred, halved_depth
 
 FLATS = 40  # flat surfaces between the bounds that are compared
@@ -232,16 +232,13 @@ def start_direct(search: Search) -> None:
     direct, level = search.direct, search.level
     assert direct is not None and direct.pyramid.best is not None, "there is no answer by direct light"
     grid, z = direct.pyramid.best
-    for _ in range(level - grid):
-        z = halved_depth(z)
+    z = halved_depth(z, level - grid)
     first = _after_rounds(search, direct, level, z, [], ROUNDS)
     best = _after_rounds(search, direct, level, first.depth, [first], ROUNDS)
     for rival in sorted(direct.rivals, key=lambda one: -one.weight)[:OTHER_DIRECT]:
         if best.objective <= POOR * search.pyramid.good_objective(level):
             break
-        difference = rival.difference
-        for _ in range(level - direct.comparing):
-            difference = halved_depth(difference)
+        difference = halved_depth(rival.difference, level - direct.comparing)
         best = _after_rounds(search, direct, level, z + difference, [best], ROUNDS)
     search.pyramid.accept(level, best.depth)
     if search.comparing < level:
@@ -310,9 +307,9 @@ def join(search: Search) -> None:
 
 def _of_mosaic(search: Search, level: int, answers: list[Solution]) -> Solution:
     pyramid = search.pyramid
-    problem, images, misfits = pyramid.problem(level), pyramid.images[level], []
+    misfits = []
     for answer in answers:
-        squares = [(light - t) ** 2 for light, t in zip(problem.irradiances(answer.depth), images)]
+        squares = residuals_of(pyramid, level, answer.depth) ** 2
         misfits.append(blurred(np.sum(squares, 0), 2) + LEAST_MISFIT)
     least = np.min(misfits, 0)
     shares = [blurred((least / misfit) ** 2) for misfit in misfits]

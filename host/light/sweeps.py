@@ -19,7 +19,7 @@ from ..backends.staging import fetch
 from ..checks import positive_number
 from ..constants import ANGLES, LADDER, LEAST_SEARCHED_SLOPE, SIDES, SLOPES, TABLE, UNIFORM
 from ..errors import CapacityError, bad
-from ..scene import Scene, is_scene
+from ..scene import Scene, check_scene
 from .far import Far, marched
 
 # rows within which every crossing is tested; FINE_NEAR_ROWS from MANY_AZIMUTHS on, where the sum over all
@@ -527,7 +527,7 @@ def _steepest(best: np.ndarray) -> tuple[float, float]:
 
 def engine_of(scene: Scene, backend: str) -> Backend:
     """The backend of this name; ``auto`` stays on the GPU on which the scene's depth lies."""
-    is_scene(scene)
+    check_scene(scene)
     there = scene.resident
     if there is not None and there.backend.name.startswith("warp:cuda") and str(backend) == "auto":
         return there.backend

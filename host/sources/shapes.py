@@ -371,7 +371,7 @@ def number_of(source: Source) -> float:
     return 1.0 if callable(value) else float(value)
 
 
-def is_source(source: object) -> None:
+def check_source(source: object) -> None:
     """InputError unless it is a Source."""
     if not isinstance(source, Source):
         fix = "A function of direction is a brightness: sl.Sky(brightness)." if callable(source) else ""
@@ -383,7 +383,7 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
 
     Raises InputError where it is not finite or negative.
     """
-    is_source(source)
+    check_source(source)
     brightness: Any = source.brightness
     if isinstance(brightness, tuple):
         raise bad(
