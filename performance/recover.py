@@ -260,7 +260,7 @@ def suspected(backend, size=32):
                 }
 
 
-def fine(backend, size=32, seeds=6):
+def fine(backend, size=32, seeds=4):
     """What tells fine relief from noise: residual over noise, correlation of residuals, and what an answer
     to images without noise leaves.
     """

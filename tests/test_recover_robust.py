@@ -1291,7 +1291,7 @@ def test_noise_is_not_fine_relief(fast, power):
         (0.15, 0.1, 1, True, False),
         (0.15, 0.1, 0, False, False),
         (0.17, 0.1, 0, False, True),
-        (0.12, 0.1, 1, False, False),
+        (0.11, 0.1, 1, False, False),
         (0.02, 0.005, 1, False, False),
     ],
 )

@@ -54,8 +54,8 @@ DIRECT_SHARE = 0.25
 # eleven images with light between surfaces (28 to 40 nodes a side) that light left at most 0.0007; of direct
 # images, where it did not explain them too, 0.0027 and more. Without it two of the eleven are called direct
 MODEL_RESIDUAL = 6e-4
-# share of the residual that an answer to images without noise may leave, to be taken. By
-# performance/recover.py --what fine it leaves 0.02 to 0.14 of fine relief, 0.12 to 0.63 of noise alone
+# share of the residual that an answer to images without noise may leave, to be taken: 0.03 to 0.14 of fine
+# relief (performance/recover.py --what fine). Chosen: what wrong arguments leave, noise does not explain
 RELIEF_SHARE = 0.25
 LEAST_RESIDUAL = 1e-12  # that another is divided by
 INTERRUPTED = "Interrupted: this is the best so far."
