@@ -185,14 +185,15 @@ def share_everywhere(
     which each of ``direct`` comes from; None for any other source.
     """
     samples, shares = samples_of(engine, scene, CHECKED), albedos(scene)
-    dark = scene.sides == "dark"  # whose walls hide sky and send no light
-    if dark or not samples.relief > 0 or brightness is not None and not max(brightness) > 0:
+    if not samples.relief > 0 or brightness is not None and not max(brightness) > 0:
         return 0.0
     samples = spread_more(samples, scene, CANDIDATE_NODES)
     lights = [_at(samples, image) for image in direct]
-    if brightness is None:
-        sectors = even(DECIDING_AZIMUTHS, OFFSET)
-        sweeps = Sweeps(engine, ground_of(scene, None, engine), Rays(sectors.angles, sectors.widths))
+    if brightness is None or scene.sides == "dark":
+        sectors, ground = even(DECIDING_AZIMUTHS, OFFSET), ground_of(scene, None, engine)
+        # walls of a dark box hide sky too, and send no light
+        ground = ground._replace(sides="open") if scene.sides == "dark" else ground
+        sweeps = Sweeps(engine, ground, Rays(sectors.angles, sectors.widths))
         sky = _at(samples, sweeps.image()) / math.pi
     else:
         most = int(np.argmax(brightness))

@@ -218,9 +218,9 @@ def grooves(white: float = 0.9, black: float = 0.0, steepness: float = 45.0) -> 
     """
     white = _number(share(white, "grooves: white"), "white")
     black = _number(share(black, "grooves: black"), "black")
-    if not 0 < steepness < 90:
-        raise bad("grooves: steepness", steepness, "between 0 and 90 degrees")
-    return BRDF(partial(_groove_brdf, white=white, black=black, slope=np.radians(steepness)))
+    if not 0 < number_or_nan(steepness) < 90:
+        raise bad("grooves: steepness", repr(steepness), "between 0 and 90 degrees")
+    return BRDF(partial(_groove_brdf, white=white, black=black, slope=np.radians(float(steepness))))
 
 
 def _groove_brdf(

@@ -94,8 +94,8 @@ class Renderer:
                 f"Depths are rounded by {scene.rounding:.2g} spacings, as float32: subtract the same depth"
                 " from the map and from the source; give a window as a rectangular lamp, corner= and edges=."
             )
-        if options.chooses and missing and (self.lobe or not self.planned):
-            what = "error of the specular lobe" if self.planned else "error"
+        if options.chooses and missing and (self.lobe or options.brdf(scene) or not self.planned):
+            what = "error of the specular lobe" if self.planned and self.lobe else "error"
             self.warnings.append(
                 f"Tolerance: the {what} is not known, {missing} takes directions of the lattice, whatever the"
                 " tolerance is."
@@ -324,7 +324,9 @@ class Renderer:
                 for ways, share in ((L, brightness * angles), (cube.directions, angles))
             )
             apart = np.sqrt(2 * np.pi / len(cube))
-            warnings = _narrow_lobe(lobe, apart, "method='horizon' or a larger hemicube")
+            only = self.options.missing(scene, self.source)
+            fix = "a larger hemicube" if only else "method='horizon' or a larger hemicube"
+            warnings = _narrow_lobe(lobe, apart, fix)
             self.warnings.extend(warnings)
             whole = whole if warnings else None  # the sum is exact enough
         if options.brdf(scene):

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from scenes import rough
+from surfaces import rms
 
 import skylamp as sl
 from skylamp import oracle
@@ -191,3 +192,23 @@ def test_steps_grow():
     """One by one up to `near`, then by a share, up to `far`."""
     assert steps(4, 0.5, 20) == [1, 2, 3, 4, 6, 9, 13, 19]
     assert steps(30, 0.5, 5) == [1, 2, 3, 4, 5]
+
+
+def test_rare_ground_in_a_dark_box_is_found(fast):
+    """Two white walls on a dark plain: left out, with 2 % of the light, though open sides included it."""
+    depth, albedo = np.full((96, 96), 6.0), np.full((96, 96), 0.02)
+    depth[20:30, 40] = depth[60, 10:20] = 0.5
+    albedo[depth < 1] = 1.0
+    scene = sl.Scene(depth, albedo=albedo, sides="dark")
+    auto = sl.render(scene, sl.Sky(), backend=fast)
+    true = sl.render(scene, sl.Sky(), backend=fast, interreflection=True, tolerance=0.003)
+    assert auto.interreflection.included
+    assert rms(auto.image - true.image) < 0.01 * true.image.mean()
+
+
+def test_walls_of_a_dark_box_are_no_ground(fast):
+    """A bright plain at the bottom of a box sees little sky, and nothing that lights it: it is left out."""
+    depth = np.full((32, 32), 12.0)
+    depth[16, 16] = 11.9
+    out = sl.render(sl.Scene(depth, albedo=0.9, sides="dark"), sl.Sky(), backend=fast)
+    assert not out.interreflection.included and out.interreflection.share < 1e-3
