@@ -1,6 +1,6 @@
 """Depth from images: how accurate, how stable, how fast. Writes recover.json.
 
-    python performance/recover.py [--backend NAME] [--sizes 64,256] [--out FOLDER]
+    python performance/recover.py [--backend NAME] [--sizes 64,256] [--seeds 4] [--out FOLDER]
         [--what accuracy,stability,albedo,between,suspected,fine,terrain,speed]
     python performance/recover.py --without NAME[,NAME...]|all [--backend NAME] [--out FOLDER]
 
@@ -260,23 +260,25 @@ def suspected(backend, size=32):
                 }
 
 
-def fine(backend, size=32, seeds=4):
+def fine(backend, sizes, seeds):
     """What tells fine relief from noise: residual over noise, correlation of residuals, and what an answer
     to images without noise leaves.
     """
-    lights = {
-        "lamp beside": sl.Lamp((4, 16, -8), radius=3),
-        "lamp above": sl.Lamp((16, 16, -12), radius=4),
-        "sky": sl.Sky(),
-    }
     images = [("relief", blur, "", 0.0) for blur in (0.7, 0.8, 0.9, 1.0)]
     images += [("both", 0.8, "even", share) for share in (0.05, 0.1)]
     images += [
         ("noise", 2.0, kind, share) for kind in ("even", "root", "as light") for share in (0.03, 0.1, 0.2)
     ]
-    for seed, light, (what, blur, kind, share) in itertools.product(range(seeds), lights, images):
+    lights = {
+        "lamp beside": lambda n: sl.Lamp((n / 8, n / 2, -n / 4), radius=3 * n / 32),
+        "lamp above": lambda n: sl.Lamp((n / 2, n / 2, -3 * n / 8), radius=n / 8),
+        "sky": lambda n: sl.Sky(),
+    }
+    cases = itertools.product(sizes, range(seeds), lights, images)
+    for size, seed, light, (what, blur, kind, share) in cases:
+        source = lights[light](size)
         depth, finer = surfaces.fine(seed, blur, size)
-        image = surfaces.fine_image(finer, lights[light])
+        image = surfaces.fine_image(finer, source)
         power = {"": 0, "even": 0, "root": 0.5, "as light": 1}[kind]
         random = np.random.default_rng(seed).standard_normal(image.shape)
         image = np.maximum(image + share * rms(image) ** (1 - power) * image**power * random, 0)
@@ -294,9 +296,10 @@ def fine(backend, size=32, seeds=4):
             mock.patch.object(recovery, "_explained", explained),
             mock.patch.object(diagnostics, "is_relief", always),
         ):
-            sl.recover(image, lights[light], 0.5, "dark", layers=32, backend=backend, interreflection=False)
+            sl.recover(image, source, 0.5, "dark", layers=32, backend=backend, interreflection=False)
         first, second = answers
         yield {
+            "size": size,
             "what": what,
             "blur": blur,
             "noise": kind,
@@ -320,6 +323,7 @@ def main():
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--what", default="accuracy,stability,albedo,terrain,speed")
     parser.add_argument("--sizes", default="64,256")
+    parser.add_argument("--seeds", type=int, default=4, help="of fine")
     parser.add_argument("--out", default="docs")
     parser.add_argument("--without", help="what an ingredient is worth: its name, names, or all")
     options = parser.parse_args()
@@ -337,7 +341,7 @@ def main():
             "terrain": real,
             "between": between,
             "suspected": suspected,
-            "fine": fine,
+            "fine": lambda backend: fine(backend, map(int, options.sizes.split(",")), options.seeds),
             "speed": lambda backend: speed(backend, map(int, options.sizes.split(","))),
         }[what]
         done[what] = []

@@ -50,7 +50,7 @@ IN_ANOTHER_UNIT = 3.0
 # standard deviations of noise by which a pixel may be brighter than the model; 0.3 of 10^6 normal ones are
 DEVIATIONS = 5
 # residual over the noise that was estimated, up to which noise explains it. By performance/recover.py
-# --what fine (180 images) it is 0.87 to 1.16 with noise that is even or as the root of brightness, up to 1.41
+# --what fine --sizes 32 (180 images) it is 0.87 to 1.16 with noise that is even or as the root of brightness, up to 1.41
 # with noise as brightness
 NOISE_TIMES = 1.6
 # the same above which what was taken for noise may be fine relief, if neighbouring residuals are correlated

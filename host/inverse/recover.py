@@ -55,7 +55,7 @@ DIRECT_SHARE = 0.25
 # images, where it did not explain them too, 0.0027 and more. Without it two of the eleven are called direct
 MODEL_RESIDUAL = 6e-4
 # share of the residual that an answer to images without noise may leave, to be taken: 0.03 to 0.14 of fine
-# relief (performance/recover.py --what fine). Chosen: what wrong arguments leave, noise does not explain
+# relief (see diagnostics.NOISE_TIMES). Chosen: what wrong arguments leave, noise does not explain
 RELIEF_SHARE = 0.25
 LEAST_RESIDUAL = 1e-12  # that another is divided by
 INTERRUPTED = "Interrupted: this is the best so far."
