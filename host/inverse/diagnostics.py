@@ -30,9 +30,8 @@ NO_TIME = (
     "Light between surfaces: it is left out, since the search ended before its turn; where the images contain"
     " it, depth is farther off than std says."
 )
-# residual over the image (RMS), besides NOISE_TIMES its noise, above which an image is called
-# poorly explained. Measured by
-# performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the right
+# residual over the image (RMS), besides that of noise, above which an image is called poorly explained.
+# Measured by performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the right
 # arguments, in 26 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The residual
 # alone is above it in 2, 28 and 20; above half of it in 3, 28 and 21, above twice in 0, 25 and 11
 POORLY = 0.03
@@ -49,16 +48,14 @@ TOO_BRIGHT, TOO_MANY = 0.1, 0.02
 IN_ANOTHER_UNIT = 3.0
 # standard deviations of noise by which a pixel may be brighter than the model; 0.3 of 10^6 normal ones are
 DEVIATIONS = 5
-# residual over the noise that was estimated, up to which noise explains it. By performance/recover.py
-# --what fine --sizes 32 (180 images) it is 0.87 to 1.16 with noise that is even or as the root of brightness, up to 1.41
-# with noise as brightness
-NOISE_TIMES = 1.6
-# the same above which what was taken for noise may be fine relief, if neighbouring residuals are correlated
-# too, by so many standard deviations of the correlation in white noise. There, all 70 images of fine relief
-# have 1.23 to 2.9, and 3.4 to 7.7; the five of noise that are above 1.15 have -6.5 to -2.9
-RELIEF_TIMES, CORRELATED = 1.15, 2.0
+# residual over the noise that was estimated, above which it is not noise; and above which it is not, if
+# neighbouring residuals are correlated too, by so many standard deviations of the correlation in white noise.
+# By performance/recover.py --what fine (332 images with 32, 64, 96 and 160 nodes a side): with noise that is
+# even 0.8 to 1.2, as the root of brightness up to 1.4, as brightness up to 2.45, and where above 1.05 never
+# correlated by more than 1.8; of 128 images of fine relief 1.06 to 2.9, and 3.4 to 25
+NOISE_TIMES, RELIEF_TIMES, CORRELATED = 2.5, 1.05, 2.5
 # noise over the image (RMS) from which on it may be fine relief; chosen: less hardly smooths. In those images
-# it is 0.016 to 0.21, so that half gives the same answers, and twice all but one
+# it is 0.016 to 0.23, so that half gives the same answers, and twice all but 1
 LEAST_TAKEN = 0.01
 # grey levels of an image: steps of fewer are coarser than a quarter of the usual eps of carving, 0.02; chosen
 FEWEST_COUNTS = 200
@@ -173,7 +170,7 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") ->
             f"{image.capitalize()} brighter than the model can make it at {too_bright.mean():.0%} of the"
             " pixels: a larger albedo or brightness, or other sides, may be right."
         )
-    if rms > _by_noise(pyramid, POORLY, NOISE_TIMES):
+    if _is_unexplained(pyramid, residual[None]):
         why = "; check sides, albedo and source; or the relief is finer than the resolution."
         if _worse_at_rim(residual):
             why = f", mostly near the border: check the sides (sides={pyramid.sides!r} was given)."
@@ -187,15 +184,20 @@ def _by_noise(pyramid: Pyramid, rest: float, times: float) -> float:
     return math.hypot(rest, times * pyramid.noise / IMAGE_RMS)
 
 
+def _is_unexplained(pyramid: Pyramid, residuals: np.ndarray) -> bool:
+    """Whether residuals (n, rows, cols) are more than the noise of the images and POORLY."""
+    left = share_of_images(residuals)
+    if left > _by_noise(pyramid, POORLY, NOISE_TIMES):
+        return True
+    return left > _by_noise(pyramid, POORLY, RELIEF_TIMES) and correlation_of(residuals) > CORRELATED
+
+
 def is_relief(pyramid: Pyramid, residuals: np.ndarray) -> bool:
-    """Whether fine relief was taken for noise, and smoothed away: an answer leaves more of the images than
-    their noise, and neighbouring residuals (n, rows, cols) are alike, where those of noise are not.
+    """Whether fine relief may have been taken for noise, and smoothed away: the images have noise, and it
+    does not explain the residuals (n, rows, cols), whose neighbours are alike.
     """
-    if pyramid.noise <= LEAST_TAKEN * IMAGE_RMS:
-        return False
-    if share_of_images(residuals) <= _by_noise(pyramid, POORLY, RELIEF_TIMES):
-        return False
-    return correlation_of(residuals) > CORRELATED
+    is_noisy = pyramid.noise > LEAST_TAKEN * IMAGE_RMS
+    return is_noisy and _is_unexplained(pyramid, residuals) and correlation_of(residuals) > CORRELATED
 
 
 def correlation_of(residuals: np.ndarray) -> float:
