@@ -31,9 +31,9 @@ NO_TIME = (
     " it, depth is farther off than std says."
 )
 # residual over the image (RMS), besides that of noise, above which an image is called poorly explained.
-# Measured by performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the right
-# arguments, in 26 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The residual
-# alone is above it in 2, 28 and 20; above half of it in 3, 28 and 21, above twice in 0, 25 and 11
+# Measured by performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the
+# right arguments, in 26 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The
+# residual alone is above it in 2, 28 and 20; above half of it in 3, 28 and 21, above twice in 0, 25 and 11
 POORLY = 0.03
 # the same, above which a warning says that light between surfaces is not fully explained: in
 # performance/recover.py --what between 9 of 45 residuals are above it, with errors of depth of 0.2 to 3
