@@ -105,16 +105,11 @@ class Judgement(NamedTuple):
 
 
 def judgement_of(
-    multigrid: Multigrid,
-    level: int,
-    z: np.ndarray,
-    rivals: list[Rival],
-    rivals_at: int,
-    bounds: tuple[np.ndarray, np.ndarray],
+    multigrid: Multigrid, level: int, z: np.ndarray, rivals: list[Rival], rivals_at: int, depth_range: float
 ) -> Judgement:
     """The judgement on the surface z of grid ``level`` whose rivals are of grid ``rivals_at``.
 
-    ``bounds`` (rows, cols) [nodes], of depth. An albedo that was not known is taken for known on the way.
+    An albedo that was not known is taken for known on the way.
     """
     pyramid = multigrid.pyramid
     place = free_place(pyramid, float(np.mean(z)) * 2**level)
@@ -130,7 +125,7 @@ def judgement_of(
     refit = refit_of(pyramid, grid, small)
     judged = Judged(multigrid, grid, small, misfit, rivals, refit, place)
     std = np.sqrt(sum((part(judged) for part in PARTS), variance))
-    others = other_depths(pyramid, grid, small, APART * float((bounds[1] - bounds[0]).mean()))
+    others = other_depths(pyramid, grid, small, APART * depth_range)
     for finer in range(grid - 1, -1, -1):
         rows, cols = pyramid.shape(finer)
         std = 2 * doubled(std, (rows, cols))
@@ -138,9 +133,8 @@ def judgement_of(
     return Judgement(std, others, None if grid else refit, judged.share, place)
 
 
-def unjudged(bounds: tuple[np.ndarray, np.ndarray]) -> Judgement:
+def unjudged(low: np.ndarray, high: np.ndarray) -> Judgement:
     """The judgement where nothing is known: any depth between the bounds (rows, cols) is as likely."""
-    low, high = bounds
     return Judgement((high - low) / math.sqrt(12), np.full((CANDIDATES, *low.shape), np.nan), None, 0.0, None)
 
 

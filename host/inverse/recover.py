@@ -568,11 +568,11 @@ def _recovery(given: _Given, limits: _Limits, answer: _Answer, compiled: float) 
     depth_range = float((high - low).mean())
     if pyramid.interreflection and not given.albedo_given:
         answer.warnings.extend(diagnostics.of_unit(_usual_albedo(answer), True))
-    rivals, bounds = search.rivals_of(level, z), (low, high)
+    rivals = search.rivals_of(level, z)
     try:
-        judged = judgement_of(search.multigrid, level, z, rivals, search.comparing, bounds)
+        judged = judgement_of(search.multigrid, level, z, rivals, search.comparing, depth_range)
     except KeyboardInterrupt:
-        judged = unjudged(bounds)
+        judged = unjudged(low, high)
         answer.warnings.append(
             "Interrupted before the confidence was known: std is that of any depth between near and far."
         )
@@ -590,7 +590,7 @@ def _recovery(given: _Given, limits: _Limits, answer: _Answer, compiled: float) 
         levels = [*levels[:-1], Level(z.shape, share_of_images(residuals), limits.spent())]
     std = judged.std
     if share_of_images(residuals) >= 1:  # as far off as black is: it tells nothing of depth
-        std = np.maximum(std, unjudged(bounds).std)
+        std = np.maximum(std, unjudged(low, high).std)
     confidence = confidence_of(std, depth_range)
     ambiguous = np.isfinite(judged.others).any(0) & (confidence < UNTRUSTED)
     depth = (z * scene.spacing).astype(np.float32)
