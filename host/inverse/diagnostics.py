@@ -31,17 +31,17 @@ NO_TIME = (
     " it, depth is farther off than std says."
 )
 # residual over the image (RMS), besides that of noise, above which an image is called poorly explained.
-# Measured by performance/recover.py --what suspected, 32 x 32: it is given in none of 30 recoveries with the
-# right arguments, in 26 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The
-# residual alone is above it in 2, 28 and 20; above half of it in 3, 28 and 21, above twice in 0, 25 and 11
+# Measured by performance/recover.py --what suspected, 32 x 32: it is given in one of 30 recoveries with the
+# right arguments, in 28 of 30 with half the albedo and 19 of 30 with open sides instead of dark ones. The
+# residual alone is above it in 3, 28 and 20; above half of it in 4, 28 and 21, above twice in 0, 25 and 15
 POORLY = 0.03
 # the same, above which a warning says that light between surfaces is not fully explained: in
 # performance/recover.py --what between 9 of 45 residuals are above it, with errors of depth of 0.2 to 3
 # nodes, and of those below it 5 errors are above half a node
 UNSETTLED = 0.0025
 # an image is called too bright for the model if it is brighter by this share of its RMS at so many pixels; in
-# the recoveries of POORLY in 0, 27 and 5 of 30. At so many pixels 1, 28 and 6 are brighter, at half as many
-# 1, 28 and 8, at twice as many 0, 25 and 2
+# the recoveries of POORLY in 1, 27 and 11 of 30. At so many pixels 2, 28 and 13 are brighter, at half as many
+# 2, 28 and 14, at twice as many 0, 25 and 12
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
 # median of the albedo that is found from which on images are in another unit than brightness; chosen: light
 # between surfaces, taken for direct light, makes a white surface seem brighter, but hardly three times
@@ -65,8 +65,8 @@ EIGHT_BITS = 256
 # 2, 3, 4 and 6 nodes wide depth errs by 2.6, 1, 0.2, 0.2, 0.07 and 0.06 nodes (RMS), and 4, 9, 41, 26, 66 and
 # 63 % lie within 1 std; under lamps 2 and 4 wide by 0.8 and 0.2 nodes, and 17 and 40 %
 NARROW = 5
-# share of ambiguous pixels from which on a warning says so; in the recoveries of POORLY in 3, 24 and 21
-# of 30, from half of it in 5, 25 and 21, from twice in 3, 23 and 21
+# share of ambiguous pixels from which on a warning says so; in the recoveries of POORLY in 2, 24 and 21
+# of 30, from half of it in 5, 25 and 21, from twice in 2, 22 and 21
 AMBIGUOUS = 0.005
 # distance into a gap [side of the image, and node] from which on a warning calls it wide. Chosen: around gaps
 # with a radius of 3, 6 and 10 nodes, of 64, in fifteen surfaces under a sky, 0, 0 and 2 answers are off by
