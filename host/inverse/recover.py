@@ -35,9 +35,9 @@ from .search import OutOfTime, Rival, Search
 RECOVER_METHODS = ("robust", "paper")
 STOPS = ("eps", "sign")
 MOST_LAYERS = 2**20
-DEEPEST = (
-    1e30  # [nodes] that a bound of depth may be; chosen: sums and products of depths stay within float32
-)
+# [nodes] that a bound of depth may be; chosen: sums of depths, and products with their derivatives, stay
+# within float32
+DEEPEST = 1e30
 CANDIDATE_DEPTH = Quantity("depth_candidate", None, "depth that fits the image too, in the unit of spacing")
 MAPS = (  # fields of Recovery that are maps
     Quantity("depth", None, "depth, in the unit of spacing"),
@@ -54,7 +54,7 @@ DIRECT_SHARE = 0.25
 # eleven images with light between surfaces (28 to 40 nodes a side) that light left at most 0.0007; of direct
 # images, where it did not explain them too, 0.0027 and more. Without it two of the eleven are called direct
 MODEL_RESIDUAL = 6e-4
-# share of the residual that an answer to images without noise may leave, to be taken: 0.03 to 0.14 of fine
+# share of the residual that an answer to images without noise may leave, to be taken: 0.03 to 0.23 of fine
 # relief (see diagnostics.NOISE_TIMES). Chosen: what wrong arguments leave, noise does not explain
 RELIEF_SHARE = 0.25
 LEAST_RESIDUAL = 1e-12  # that another is divided by
