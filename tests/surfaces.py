@@ -178,7 +178,7 @@ def rms(values):
 
 def fine(seed, blur, size=32):
     """(depth, on the finer grid too) of random relief of 6 nodes, 4 below the viewer, whose finest waves are
-    close to those that the grid can hold: with ``blur`` 0.7 a node, half of it is below 6 nodes.
+    close to those that the grid can hold, the closer the smaller ``blur`` [nodes] is.
     """
     waves = np.fft.fft2(np.random.default_rng(seed).standard_normal((size, size)))
     numbers = np.fft.fftfreq(size)

@@ -170,7 +170,7 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") ->
             f"{image.capitalize()} brighter than the model can make it at {too_bright.mean():.0%} of the"
             " pixels: a larger albedo or brightness, or other sides, may be right."
         )
-    if _is_unexplained(pyramid, residual[None]):
+    if rms > _by_noise(pyramid, POORLY, NOISE_TIMES) or _is_unlike_noise(pyramid, residual[None]):
         why = "; check sides, albedo and source; or the relief is finer than the resolution."
         if _worse_at_rim(residual):
             why = f", mostly near the border: check the sides (sides={pyramid.sides!r} was given)."
@@ -184,20 +184,18 @@ def _by_noise(pyramid: Pyramid, rest: float, times: float) -> float:
     return math.hypot(rest, times * pyramid.noise / IMAGE_RMS)
 
 
-def _is_unexplained(pyramid: Pyramid, residuals: np.ndarray) -> bool:
-    """Whether residuals (n, rows, cols) are more than the noise of the images and POORLY."""
-    left = share_of_images(residuals)
-    if left > _by_noise(pyramid, POORLY, NOISE_TIMES):
-        return True
-    return left > _by_noise(pyramid, POORLY, RELIEF_TIMES) and correlation_of(residuals) > CORRELATED
+def _is_unlike_noise(pyramid: Pyramid, residuals: np.ndarray) -> bool:
+    """Whether residuals (n, rows, cols) are more than the noise of the images and POORLY, and neighbouring
+    ones alike.
+    """
+    if share_of_images(residuals) <= _by_noise(pyramid, POORLY, RELIEF_TIMES):
+        return False
+    return correlation_of(residuals) > CORRELATED
 
 
 def is_relief(pyramid: Pyramid, residuals: np.ndarray) -> bool:
-    """Whether fine relief may have been taken for noise, and smoothed away: the images have noise, and it
-    does not explain the residuals (n, rows, cols), whose neighbours are alike.
-    """
-    is_noisy = pyramid.noise > LEAST_TAKEN * IMAGE_RMS
-    return is_noisy and _is_unexplained(pyramid, residuals) and correlation_of(residuals) > CORRELATED
+    """Whether fine relief may have been taken for noise, and smoothed away, by what an answer leaves."""
+    return pyramid.noise > LEAST_TAKEN * IMAGE_RMS and _is_unlike_noise(pyramid, residuals)
 
 
 def correlation_of(residuals: np.ndarray) -> float:

@@ -154,7 +154,7 @@ def recover(
         Of method="robust": True where the image counts. Elsewhere, as at highlights or the background, it
         may hold anything, and depth goes on smoothly. Gaps of a DataArray (nan, _FillValue) never count.
     progress : callable, optional
-        Called with (levels or layers done, their number). Residuals of levels go to the logger "skylamp".
+        Called with (levels or layers done, their number, which may double). Logger "skylamp" gets residuals.
 
     Returns
     -------
@@ -247,11 +247,11 @@ def _checked(
         raise bad("images of different shape", [picture.shape for picture in images], "one shape")
     for light in lights:
         _check_light(light)
-    merged = by_light(images, lights, known)
+    count, merged = len(images), by_light(images, lights, known)
     images, lights = list(map(filled, merged.images, merged.known)), merged.lights
     whole_number(layers, "layers", 1, MOST_LAYERS - 1)
     if albedo is None and (len(images) == 1 or method != "robust"):
-        same = "These are of one light. " if several and len(masks) > len(images) else ""
+        same = "These are of one light. " if len(images) < count else ""
         advice = f"{same}It can be found from several images under different lights, by method='robust'."
         raise bad("albedo", None, "a number or (rows, cols)", advice)
     if labels is not None:  # the units that an image has are no lengths
@@ -396,7 +396,7 @@ def _bound(value: Any, usual: float, what: str, shape: tuple[int, int]) -> np.nd
 class _Answer:
     """The surface z of grid ``level`` that a search ended with, or had when it was cut short.
 
-    ``cut``: the warning that it was, which is among ``warnings`` too; else nothing.
+    ``cut``: the warning that it was; else nothing.
     """
 
     search: Search
@@ -418,12 +418,12 @@ def _recovered(
     compiled = engine.compile_seconds
     answer = _explained(given, limits, engine, progress, interreflection)
     pyramid = answer.search.pyramid
-    whole = not answer.cut and answer.level == 0
-    if whole and diagnostics.is_relief(pyramid, residuals_of(pyramid, 0, answer.z)):
+    is_done = not answer.cut and answer.level == 0
+    if is_done and diagnostics.is_relief(pyramid, residuals_of(pyramid, 0, answer.z)):
         again = _part(progress, 1, 2)
         other = _explained(given, limits, engine, again, interreflection, has_noise=False)
         if other.cut:
-            answer.warnings.append(other.cut)
+            answer = replace(answer, cut=other.cut)
         elif other.levels[-1].residual < RELIEF_SHARE * answer.levels[-1].residual:
             answer = other
     return _recovery(given, limits, answer, compiled)
@@ -459,7 +459,7 @@ def _explained(
         try:
             answer = _likelier(answer, direct)
         except KeyboardInterrupt:
-            answer = replace(answer, warnings=[*answer.warnings, INTERRUPTED], cut=INTERRUPTED)
+            answer = replace(answer, cut=INTERRUPTED)
     return answer
 
 
@@ -553,7 +553,6 @@ def _answer(
         cut = f"Out of time after {limits.seconds:g} s: this is the best so far."
     except KeyboardInterrupt:
         cut = INTERRUPTED
-    warnings += [cut] if cut else []
     low, high = pyramid.bounds[-1]
     if pyramid.best is None and direct is not None:  # cut before it had a surface of its own
         return replace(direct, search=search, warnings=warnings, cut=cut)
@@ -594,7 +593,8 @@ def _recovery(given: _Given, limits: _Limits, answer: _Answer, compiled: float) 
     confidence = confidence_of(std, depth_range)
     ambiguous = np.isfinite(judged.others).any(0) & (confidence < UNTRUSTED)
     depth = (z * scene.spacing).astype(np.float32)
-    warnings = [*answer.warnings, *diagnostics.of_free_place(judged.place, pyramid.sources)]
+    warnings = [*answer.warnings, *filter(None, [answer.cut])]
+    warnings += diagnostics.of_free_place(judged.place, pyramid.sources)
     warnings += _lamps_below(replace(scene, depth=depth), given.lights, pyramid.engine)
     warnings += [*diagnostics.of_gaps(pyramid), *diagnostics.of_limits(z, low, high)]
     for name, residual in zip(given.names if len(residuals) > 1 else ["image"], residuals):
