@@ -48,6 +48,7 @@ from skylamp.constants import (
 )
 
 from . import OPTIONS
+from .horizon import read
 
 wp.set_module_options(OPTIONS)
 
@@ -162,24 +163,6 @@ def under_source(pixel: Pixel, along: wp.float32, aside: wp.float32, t: wp.float
 
 
 @wp.func
-def stands_above(
-    pixel: Pixel,
-    u: wp.int32,
-    v: wp.int32,
-    level: wp.int32,
-    flip_x: wp.int32,
-    flip_y: wp.int32,
-    line: wp.float32,
-):
-    """Whether the top of a large cell stands above a line, which is ``line`` above the node there."""
-    if level == 0:
-        return False
-    first_column = pixel.width - (pixel.width >> (level - 1))
-    top = pixel.tops[((v >> level) ^ flip_y) * pixel.width + first_column + ((u >> level) ^ flip_x)]
-    return top - pixel.height > line
-
-
-@wp.func
 def horizon(
     pixel: Pixel,
     begin: wp.float32,
@@ -225,7 +208,11 @@ def horizon(
     level = wp.int32(0)
     while slope < high and t < end and t * (along + slope * pixel.up) < pixel.reach:
         # 1. down to a cell whose top stays below the line where it comes in, or to a single one
-        while stands_above(pixel, u, v, level, flip_x, flip_y, slope * t):
+        while level > 0:
+            first = pixel.width - (pixel.width >> (level - 1))
+            cell = ((v >> level) ^ flip_y) * pixel.width + first + ((u >> level) ^ flip_x)
+            if not read(pixel.tops, cell) - pixel.height > slope * t:
+                break
             level -= 1
         # 2. the way out of it
         mask = (1 << level) - 1
@@ -243,8 +230,8 @@ def horizon(
             across = wp.where(by_x, s, c) * out
             part = wp.clamp(across - wp.float32(wp.where(by_x, node_y - y, node_x - x)), 0.0, 1.0)
             rise = (
-                pixel.heights[low] * (1.0 - part)
-                + pixel.heights[low + wp.where(by_x, stride, 1)] * part
+                read(pixel.heights, low) * (1.0 - part)
+                + read(pixel.heights, low + wp.where(by_x, stride, 1)) * part
                 - pixel.height
             )
             if rise > slope * out and out * (along + slope * pixel.up) < pixel.reach:
