@@ -38,6 +38,21 @@ def test_a_scratch_goes_on_or_begins_anew(job):
     assert not fresh["done"][:].any() and np.isnan(fresh["values"][:]).all()
 
 
+def test_late_tasks_of_an_interrupted_run_write_nothing_into_the_next(job):
+    """A cluster goes on with tasks that run as their client stops: their tiles were in the next file."""
+    late = out_of_core.scratch_of(job, resume=False)
+    values, done = late["values"], late["done"]
+    other = job._replace(quantity=out_of_core.horizon("sky-view-factor", "tilted", 12, None, "numpy"))
+    fresh = out_of_core.scratch_of(other, resume=False)
+    values[0, :32], done[0] = 7, 1
+    assert not fresh["done"][:].any() and np.isnan(fresh["values"][:]).all()
+    out_of_core.discard(job.scratch)
+    values[0, :32], done[0] = 7, 1  # leaves a folder that is in nobody's way
+    again = out_of_core.scratch_of(other, resume=False)
+    assert not again["done"][:].any() and again.basename != late.basename
+    assert out_of_core.scratch_of(other, resume=True).basename == again.basename
+
+
 def test_another_backend_does_not_go_on(job):
     """Its bytes may be others: "auto" is an OpenCL device here and a GPU there."""
     out_of_core.scratch_of(job._replace(backend="opencl:0:0"), resume=False)
@@ -56,14 +71,16 @@ def test_a_run_that_was_killed_as_it_began_is_no_hindrance(job, left, resume):
     if left == "a group":
         zarr.open_group(job.scratch, mode="w")
     if left in ("attributes", "some arrays"):
-        attributes = out_of_core.scratch_of(job, resume=False).attrs.asdict()
+        out_of_core.scratch_of(job, resume=False)
+        attributes = zarr.open_group(job.scratch, mode="r").attrs.asdict()
         out_of_core.discard(job.scratch)
         group = zarr.open_group(job.scratch, mode="w", attributes=attributes)
         if left == "some arrays":
-            group.create_array("low", shape=(2, 35, 50), chunks=(2, 16, 16), dtype="float32")
+            held = group.create_group(attributes["run"])
+            held.create_array("low", shape=(2, 35, 50), chunks=(2, 16, 16), dtype="float32")
     group = out_of_core.scratch_of(job, resume)
     assert names(group) == ["done", "low", "low_done", "values"] and not group["done"][:].any()
-    assert {"skylamp", "settings"} <= group.attrs.keys()
+    assert {"skylamp", "settings", "run"} <= zarr.open_group(job.scratch, mode="r").attrs.keys()
 
 
 def test_the_attributes_of_a_scratch_are_written_at_once(job, monkeypatch):

@@ -7,9 +7,12 @@ and which of them are done lie in a Zarr group beside the output until that is w
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import importlib
 import json
+import logging
+import secrets
 import shutil
 import signal
 import warnings
@@ -53,7 +56,8 @@ COMPATIBLE = (
 ANY_PORT = "127.0.0.1:0"
 WAIT = 30  # [s] for a scheduler, and for its first worker; chosen: Dask's own default
 TIFF_BLOCK = 512  # [node], blocks of the GeoTIFF that is written
-SCRATCH_FORM = 3  # number of the scratch group's form: one more with every change of its arrays
+RUN = "run-"  # begin of the name of the arrays of a run in its scratch
+SCRATCH_FORM = 4  # number of the scratch group's form: one more with every change of its arrays
 
 
 class Machines(NamedTuple):
@@ -123,6 +127,7 @@ class Job(NamedTuple):
     """A quantity of a file: all data that a task needs.
 
     ``dtype``: of heights and their overviews. ``backend``: the name of that of the workers, or of all theirs.
+    ``run``: the name of its arrays in the scratch.
     """
 
     file: Path
@@ -131,6 +136,7 @@ class Job(NamedTuple):
     quantity: Computation
     dtype: str = "float32"
     backend: str = ""
+    run: str = ""
 
 
 def horizon(
@@ -221,7 +227,7 @@ def write_quantity(
                 names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
                 job = Job(file.resolve(), scratch, layout, quantity, dtype, names)
                 group, begun = scratch_of(job, machines.resume), True
-                run(job, group, client, progress)
+                run(job._replace(run=group.basename), group, client, progress)
             write(out, group["values"], header, machines.cog)
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt) and scratch.exists():
@@ -264,8 +270,10 @@ def run(job: Job, group: Any, client: Any, progress: Progress | None) -> None:
     steps = 2 * len(boxes) if overviews or layout.undecided else len(boxes)
     done = int(np.count_nonzero(group["low_done"][:]) + np.count_nonzero(group["done"][:]))
     tell = (lambda n: progress(n, steps)) if progress else (lambda n: None)
-    # results of tasks, which are computed again where a worker that held them dies
-    there = client.submit(_same, job, pure=False)
+    with warnings.catch_warnings():  # of tables of a sky, 10 to 30 MB, which each worker needs once
+        warnings.filterwarnings("ignore", "Sending large graph")
+        # results of tasks, which are computed again where a worker that held them dies
+        there = client.submit(_same, job, pure=False)
     top: Any = None
     if steps > len(boxes):
         done = _each(client, _reduce, there, group["low_done"], done, tell)
@@ -371,7 +379,11 @@ def _top(job: Job) -> Top:
 
 
 def scratch_of(job: Job, resume: bool) -> Any:
-    """The Zarr group of a job: the one that was begun, with ``resume``, or a new one."""
+    """The Zarr group of a job: the one that was begun, with ``resume``, or a new one.
+
+    A new one has a name of its own: on a cluster, tasks of a run that was interrupted go on until they have
+    written their tiles, which are another run's.
+    """
     state = job.file.stat()
     told = dict(file=str(job.file), bytes=state.st_size, changed=state.st_mtime_ns, **job.quantity.settings)
     text = json.dumps(
@@ -400,8 +412,9 @@ def scratch_of(job: Job, resume: bool) -> Any:
         discard(job.scratch)
     if not (kept and resume):  # one file holds these: a process that is killed leaves all of them or none
         zarr = importlib.import_module("zarr")
-        zarr.open_group(job.scratch, mode="w", attributes={"skylamp": mark, "settings": text})
-    group = _group(job.scratch, "r+")
+        kept = {"skylamp": mark, "settings": text, "run": RUN + secrets.token_hex(8)}
+        zarr.open_group(job.scratch, mode="w", attributes=kept)
+    group = _group(job.scratch, "r+").require_group(kept["run"])
     tiling, tiles = job.layout.tiling, len(list(job.layout.boxes()))
     cells, side = [-(-n // (1 << tiling.first)) for n in job.layout.shape], tiling.tile >> tiling.first
     nan, bands = float("nan"), job.quantity.bands
@@ -447,11 +460,14 @@ def _attributes(scratch: Path) -> dict[str, Any]:
         return {}
     group = _group(scratch, "r+") if scratch.is_dir() else None
     attributes = {} if group is None else group.attrs.asdict()
-    if {"skylamp", "settings"} <= attributes.keys():
+    if {"skylamp", "settings", "run"} <= attributes.keys():
         return attributes
     names = [path.name for path in scratch.iterdir()] if scratch.is_dir() else ["a file"]
-    # what is left of a process that was killed before the attributes were written
-    empty = all(name.endswith(".partial") or (name == "zarr.json" and group is not None) for name in names)
+    # left by a process that was killed before the attributes were written, or by tasks that ended late
+    empty = all(
+        name.endswith(".partial") or name.startswith(RUN) or (name == "zarr.json" and group is not None)
+        for name in names
+    )
     if attributes or not empty:
         raise bad(f"{scratch}", "something that skylamp did not write", "a free name for scratch")
     return {}
@@ -459,10 +475,19 @@ def _attributes(scratch: Path) -> dict[str, Any]:
 
 def discard(scratch: Path) -> None:
     """Remove a scratch group: what is done first, its attributes last: what is left can be resumed."""
-    for path in sorted(scratch.iterdir(), key=lambda path: not path.name.endswith("done")):
+    for path in sorted(scratch.glob("*/*"), key=lambda path: not path.name.endswith("done")):
         if path.is_dir():
-            shutil.rmtree(path)
-    shutil.rmtree(scratch)
+            _remove(path)
+    _remove(scratch)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, but for what tasks of an interrupted run write into it at the same time."""
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.ENOENT):
+            raise
 
 
 def _group(path: Path, mode: str) -> Any:
@@ -475,7 +500,7 @@ def _group(path: Path, mode: str) -> Any:
 
 def _held(job: Job, mode: str = "r+") -> Any:
     """The scratch group in a task; InputError where the worker does not see it."""
-    group = _group(job.scratch, mode)
+    group = _group(job.scratch / job.run, mode)
     if group is None:
         raise InputError(
             f"--scheduler: a worker finds no {job.scratch}, where tiles are kept. Workers need the same files"
@@ -512,6 +537,8 @@ def workers_of(machines: Machines) -> Iterator[Any]:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError:
             raise InputError(f"--scheduler {at}: it has had no workers for {WAIT} s.") from None
+        # of a worker that died, whose tiles another one computes
+        logging.getLogger("distributed.client").setLevel(logging.ERROR)
         client.register_plugin(devices())
         if machines.scheduler is None:
             client.run(_be_silent)
