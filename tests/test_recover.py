@@ -237,6 +237,9 @@ def test_images_of_few_levels_are_said():
     assert text.startswith("8-bit steps: the image has 24 values, 0.031 apart")
     assert of_images(across) == [] and of_images(steps(16)) == []
     assert of_images(across[:1] * np.ones((64, 1))) == []  # 64 values, since it is constant along one axis
+    shadow = np.where(np.hypot(*np.ogrid[-32:32, -32:32]) < 9, across, 0)  # 253 values and black around
+    in_shadow = diagnostics.of_images([shadow], [np.ones((64, 64), bool)], [lamp], scene, 20.0)
+    assert not any(text.startswith("8-bit") for text in in_shadow)
     (text,) = diagnostics.of_carving(steps(5), lamp, "open", np.zeros((64, 64), bool), "eps")
     assert text.startswith("Few counts: the image's values are multiples of 0.034")
     assert diagnostics.of_carving(across, lamp, "open", np.zeros((64, 64), bool), "eps") == []

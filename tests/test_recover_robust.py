@@ -18,7 +18,7 @@ from surfaces import ALBEDO, SURFACES, rms
 
 import skylamp as sl
 from skylamp.backends import select
-from skylamp.inverse import diagnostics, search
+from skylamp.inverse import confidence, diagnostics, search
 from skylamp.inverse.by_light import by_light
 from skylamp.inverse.confidence import confidence_of
 from skylamp.inverse.descent import Descent, Solution
@@ -951,6 +951,38 @@ def test_a_wide_gap_is_told(fast):
         mask = _in_a_box("bumps", (14, 16, radius))[2]
         found = sl.recover(image, sl.Sky(), mask=mask, max_seconds=1e-6, backend=fast, **MASKED)
         assert any(text.startswith("Wide gap") for text in found.warnings) is told
+
+
+@pytest.mark.slow
+def test_ground_that_no_image_lights_counts_as_a_gap(fast):
+    """Outside the cone of a spotlight. Its std was 0.3 where depth erred by 0.9 nodes, 80 % within 3 std."""
+    y, x = np.mgrid[:28, :28]
+    depth, narrow = 8 + 1.5 * np.sin(x / 3.3 + 0.1 * y), np.cos(np.radians(20))
+    lamp = sl.Lamp((14, 14, -15), 2.0, brightness=lambda L: 8 * np.clip((-L[..., 2] - narrow) * 20, 0, 1))
+    image = sl.render(sl.Scene(depth, albedo=0.5), lamp, interreflection=False, tolerance=3e-3).image
+    found = sl.recover(image, lamp, albedo=0.5, layers=24, interreflection=False, backend=fast)
+    off, dark = np.abs(found.depth - depth), image < 1e-3 * image.max()
+    assert np.mean(off[dark] <= 2 * found.std[dark]) > 0.9
+    assert rms(found.std[~dark]) < 0.1 and np.mean(off[~dark] <= 2 * found.std[~dark]) > 0.9
+    assert any(text.startswith("Wide gap") for text in found.warnings)
+
+
+def test_a_source_that_lights_no_ground_is_told(fast):
+    """No albedo can help; std is no more than the bounds of depth allow (it was 430 of 24 nodes)."""
+    image = 0.3 + 0.01 * np.add.outer(np.arange(16.0), np.arange(16.0))
+    below = sl.Lamp((8, 8, 60), 3.0)
+    found = sl.recover(image, below, albedo=0.5, layers=24, interreflection=False, backend=fast)
+    assert any("no light of the source reaches the surface" in text for text in found.warnings)
+    assert not any("a larger albedo" in text for text in found.warnings)
+    assert found.std.max() < 23 / np.sqrt(3) and found.confidence.max() < 0.1
+
+
+def test_of_a_depth_between_bounds_any_is_as_likely():
+    """The deviation from a given one, against uniform samples."""
+    low, high, z = np.array([0.0, 2.0, 1.0]), np.array([4.0, 8.0, 1.0]), np.array([2.0, 2.0, 1.0])
+    truths = low + (high - low) * (np.arange(10000)[:, None] + 0.5) / 10000
+    found = confidence.unknown_from(z, low, high)
+    np.testing.assert_allclose(found, np.sqrt(np.mean((truths - z) ** 2, 0)), rtol=1e-6, atol=1e-12)
 
 
 def test_one_pixel_tells_nearly_nothing(fast):

@@ -20,7 +20,7 @@ from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
 from .place import FreePlace, free_place, most_of
 from .posterior import posterior_deviation, posterior_samples, shift_by
-from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, noise_at, on_coarser_grid, residuals_of, shown
+from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, lit, noise_at, on_coarser_grid, residuals_of
 from .resampling import blurred, distance_from, doubled, halved, halved_depth
 from .search import Rival
 
@@ -125,12 +125,21 @@ def judgement_of(
     refit = refit_of(pyramid, grid, small)
     judged = Judged(multigrid, grid, small, misfit, rivals, refit, place)
     std = np.sqrt(sum((part(judged) for part in PARTS), variance))
+    low, high = pyramid.bounds[grid]
+    std = np.minimum(std, unknown_from(small, low, high))
     others = other_depths(pyramid, grid, small, APART * depth_range)
     for finer in range(grid - 1, -1, -1):
         rows, cols = pyramid.shape(finer)
         std = 2 * doubled(std, (rows, cols))
         others = others.repeat(2, 1).repeat(2, 2)[:, :rows, :cols]
     return Judgement(std, others, None if grid else refit, judged.share, place)
+
+
+def unknown_from(z: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Deviation from z of a depth of which only its bounds are known (rows, cols)."""
+    room = np.maximum(high - low, np.finfo(float).tiny)
+    deviation: np.ndarray = np.sqrt(((high - z) ** 3 + (z - low) ** 3) / (3 * room))
+    return deviation
 
 
 def unjudged(low: np.ndarray, high: np.ndarray) -> Judgement:
@@ -207,13 +216,14 @@ def by_place(judged: Judged) -> np.ndarray:
 
 
 def by_gaps(judged: Judged) -> np.ndarray:
-    """Squared distance by which depth may leave its smooth continuation in gaps of all images: what the mean
-    curvature of the rest makes of the distance to it, at most the relief of the whole. And, since few pixels
-    tell neither, the deviation of any depth between the bounds, over the number of pixels that count.
+    """Squared distance by which depth may leave its smooth continuation where no image shows light, in gaps
+    and in the dark: what the mean curvature of the rest makes of the distance to it, at most the relief of
+    the whole. And, since few pixels tell neither, the deviation of any depth between the bounds, over the
+    number of pixels that count.
     """
-    if not judged.pyramid.has_gaps:
-        return np.zeros(judged.z.shape)
-    known, z = shown(judged.pyramid, judged.level), judged.z
+    known, z = lit(judged.pyramid, judged.level), judged.z
+    if known.all() or not known.any():
+        return np.zeros(z.shape)
     low, high = judged.pyramid.bounds[judged.level]
     untold = float(np.mean(high - low)) / math.sqrt(12) / int(known.sum())
     away = distance_from(known)

@@ -15,7 +15,7 @@ from ..scene import Scene
 from ..sources.integrals import integrals
 from .confidence import UNTRUSTED
 from .place import FreePlace
-from .pyramid import COARSEST, IMAGE_RMS, Pyramid, share_of_images, shown
+from .pyramid import COARSEST, IMAGE_RMS, Pyramid, lit, share_of_images
 from .resampling import distance_from
 
 ILL_POSED = "{} sides under a sky are ill-posed: the image of a flat surface is the same at any depth."
@@ -43,6 +43,7 @@ UNSETTLED = 0.0025
 # the recoveries of POORLY in 1, 27 and 11 of 30. At so many pixels 2, 28 and 13 are brighter, at half as many
 # 2, 28 and 14, at twice as many 0, 25 and 12
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
+LEAST_LIGHT = 0.01  # share of the image (RMS) below which a model has no light; chosen
 # median of the albedo that is found from which on images are in another unit than brightness; chosen: light
 # between surfaces, taken for direct light, makes a white surface seem brighter, but hardly three times
 IN_ANOTHER_UNIT = 3.0
@@ -91,11 +92,12 @@ def of_images(
     warnings = of_place(scene.sides, lights)
     for image, where, light in zip(images, known, lights):
         warnings += of_largest(image[where], light, scene.albedo if albedo_given else None)
-        values = np.unique(image[where])
-        if 2 < len(values) <= EIGHT_BITS < where.sum():
+        bright = where & (image > 0)  # what is black has no steps
+        values = np.unique(image[bright])
+        if 2 < len(values) <= EIGHT_BITS < bright.sum():
             step = float(np.median(np.diff(values)))
             # along both axes: an image that is constant along one is no coarse one
-            if all(np.median(np.abs(np.diff(image, axis=a))) < step for a in (0, 1)):
+            if all(_step_along(image, bright, axis) < step for axis in (0, 1)):
                 warnings.append(
                     f"8-bit steps: the image has {len(values)} values, {step:.2g} apart, and most neighbours"
                     " differ by less; fine relief is lost in them."
@@ -116,6 +118,13 @@ def of_images(
                     " below the resolution of the coarsest grid; its shadows are sharper than that grid has."
                 )
     return warnings
+
+
+def _step_along(image: np.ndarray, where: np.ndarray, axis: int) -> float:
+    """Median difference of neighbours that both count; inf without any."""
+    image, where = (np.moveaxis(array, axis, 0) for array in (image, where))
+    steps = np.abs(np.diff(image, axis=0))[where[1:] & where[:-1]]
+    return float(np.median(steps)) if steps.size else math.inf
 
 
 def _width_of(light: sources.Source) -> float:
@@ -166,9 +175,12 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") ->
     rms = share_of_images(residual)
     too_bright = (residual < -TOO_BRIGHT * IMAGE_RMS) & (residual < -DEVIATIONS * pyramid.noise)
     if too_bright.mean() > TOO_MANY:
+        why = "a larger albedo or brightness, or other sides, may be right."
+        if residual.max() <= 0 and rms > 1 - LEAST_LIGHT:
+            why = "no light of the source reaches the surface. Check where it is, and which way it shines."
         warnings.append(
             f"{image.capitalize()} brighter than the model can make it at {too_bright.mean():.0%} of the"
-            " pixels: a larger albedo or brightness, or other sides, may be right."
+            f" pixels: {why}"
         )
     if rms > _by_noise(pyramid, POORLY, NOISE_TIMES) or _is_unlike_noise(pyramid, residual[None]):
         why = "; check sides, albedo and source; or the relief is finer than the resolution."
@@ -217,14 +229,14 @@ def of_ground(pyramid: Pyramid, residual: float) -> list[str]:
 
 
 def of_gaps(pyramid: Pyramid) -> list[str]:
-    """Warning that gaps are so wide that ground in them may hide light from their surroundings."""
+    """Warning that gaps, and what is dark, are so wide that ground in them may hide light from others."""
     level = next((n for n in range(pyramid.coarsest) if pyramid.is_small(n)), pyramid.coarsest)
-    away = 2**level * distance_from(shown(pyramid, level)).max()
+    away = 2**level * distance_from(lit(pyramid, level)).max()
     if away < max(WIDE_GAP * max(pyramid.shape(0)), LEAST_WIDE):
         return []
     return [
-        f"Wide gap: no image counts within {away:.0f} nodes of some. Ground there may hide light from what"
-        " the images show, so that depth around it is off too, and std may not say so."
+        f"Wide gap: no image counts, or shows light, within {away:.0f} nodes of some. Ground there may hide"
+        " light from what the images show, so that depth around it is off too, and std may not say so."
     ]
 
 
@@ -232,7 +244,8 @@ def of_exposures(numbers: str, ratio: float) -> str:
     """Warning that the images of these numbers, of one light, differ in brightness by this factor."""
     return (
         f"Exposure: images {numbers} are of the same light, and the brightest is {ratio:.3g} times as bright"
-        " as the darkest. Their mean is taken; divide them by their exposures."
+        " as the darkest. Their mean is taken; divide them by their exposures. Of a coloured surface give one"
+        " channel."
     )
 
 

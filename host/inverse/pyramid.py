@@ -24,6 +24,8 @@ from .resampling import cubic, doubled, halved
 
 log = logging.getLogger("skylamp")
 COARSEST = 16  # nodes on the shorter side of the coarsest grid
+# light [unit of the scaled images] up to which a pixel is dark: the model's own error, confidence.MODEL_ERROR
+BLACK = 5e-4
 IMAGE_RMS = 0.4  # rms to which images are scaled, so that one smoothness fits all
 AZIMUTHS = 24  # of a sky in the model
 # smoothness [1 / spacing^2] for an image without noise; on a large grid, where relief is rough
@@ -304,6 +306,13 @@ def without_gaps(pyramid: Pyramid) -> Pyramid:
 def shown(pyramid: Pyramid, level: int) -> np.ndarray:
     """(rows, cols) bool: nodes of a grid of which an image shows at least a part."""
     nodes: np.ndarray = np.max(pyramid.weights[level], axis=0) > 0
+    return nodes
+
+
+def lit(pyramid: Pyramid, level: int) -> np.ndarray:
+    """(rows, cols) bool: nodes of a grid of which an image shows light; others only tell that it is dark."""
+    images = zip(pyramid.images[level], pyramid.weights[level])
+    nodes: np.ndarray = np.any([(image > BLACK) & (weight > 0) for image, weight in images], axis=0)
     return nodes
 
 
