@@ -24,7 +24,8 @@ def as_real(values: Any, what: str, ndim: int | None = 2) -> np.ndarray:
             f"{what}: a numpy masked array",
             "mask inside the array",
             "plain arrays",
-            "Pass array.data and mask=~numpy.ma.getmaskarray(array).",
+            "Pass array.data and mask=~numpy.ma.getmaskarray(array), or array.filled(value) where no mask="
+            " is taken.",
         )
     try:
         array = host_array(values)

@@ -1,9 +1,14 @@
 """Errors of specular lobes under uneven sources, at several tolerances and without refinement.
 
-    python performance/lobes.py [--backend opencl] [--seed 5]
+    python performance/lobes.py [--backend opencl] [--seed 5] [--noise 14]
 
 Each line: source, exponent, tolerance; errors by once the slices and as rendered (RMS over the mean, of the
 whole image) against 11 times the slices, which no render takes; seconds of both; warnings.
+
+With --noise: wide lobes over level, tilted and hilly ground under so many skies of noise. Each line: the
+share of the tolerance that the first difference may be (renderer.FIRST_SHARE), tolerance; share of the images
+that are beyond the tolerance, number beyond three times it without a warning, largest error over the
+tolerance; slices, in those of once.
 """
 
 import argparse
@@ -16,6 +21,7 @@ import skylamp as sl
 from skylamp import renderer
 
 EXPONENTS, TOLERANCES, FINEST = (5, 50, 600), (0.01, 0.003), 11
+WIDE, TRUE = (0, 1, 3, 10, 40), 20  # exponents, and times the slices of the truth, under skies of noise
 
 
 def step(L):
@@ -49,11 +55,71 @@ def sources(rng):
         yield f"sky {name}", sl.Sky(L)
 
 
+def noisy_sky(number):
+    """Three kinds in turn: noise of log-normal pixels, coarser and more of it, and a few bright pixels."""
+    rng = np.random.default_rng(number + 100)
+    if number % 3 == 0:
+        return sl.Sky(sl.environment_map(np.exp(rng.standard_normal((16, 32)))))
+    if number % 3 == 1:
+        return sl.Sky(
+            sl.environment_map(np.exp(1.5 * rng.standard_normal((8, 16))).repeat(2, 0).repeat(2, 1))
+        )
+    return sl.Sky(sl.environment_map(1 + 3.0 * (rng.random((32, 64)) > 0.9)))
+
+
+def kept(blurred):
+    """``blurred`` of one source, each table made once."""
+    return lambda source, *options, made={}: (  # noqa: B006, new for every source
+        made.get(options) or made.setdefault(options, blurred(source, *options))
+    )
+
+
+def of_noise(backend, count):
+    """Prints what the difference of the first two images decides on."""
+    blurred = renderer.blurred
+    numbers = [*renderer.LOBE_FINENESS, TRUE]
+    y, x = np.mgrid[:24, :24]
+    grounds = np.zeros((8, 8)), 0.4 * x[:8, :8] - 0.3 * y[:8, :8], 2 * np.sin(x / 3) * np.cos(y / 4)
+    every = []  # (errors, differences from the number before) over the mean, by number of slices
+    for sky in map(noisy_sky, range(count)):
+        renderer.blurred = kept(blurred)
+        for exponent in WIDE:
+            for heights in grounds:
+                scene, images = sl.Scene.from_height(heights, reflectance=sl.Phong(0, 1, exponent)), []
+                for fineness in numbers:
+                    renderer._refined_lobe = lambda call, grey, lobe_of, *shares: lobe_of(grey, fineness)  # noqa: B023
+                    image = sl.render(
+                        scene, sky, tolerance=0.01, interreflection=False, backend=backend
+                    ).image
+                    images.append(np.asarray(image, float))
+                rms = lambda a, b: np.sqrt(np.mean((a - b) ** 2)) / images[-1].mean()  # noqa: B023
+                pairs = zip(images, images[1:-1], numbers, numbers[1:])
+                off = [rms(b, a) / np.hypot(1, m / n) for a, b, n, m in pairs]
+                every.append(([rms(image, images[-1]) for image in images[1:-1]], off))
+    for share in (1, 1 / 2, 1 / 3, 1 / 5):
+        for tolerance in (0.01, 0.003, 0.001):
+            found, slices = [], 0
+            for errors, off in every:
+                fits = [o <= tolerance * (1 if n else share) for n, o in enumerate(off)]
+                n = fits.index(True) if any(fits) else len(fits) - 1
+                found.append((errors[n] / tolerance, fits[n]))
+                slices += sum(numbers[: n + 2]) / len(every)
+            beyond = np.array([error for error, _ in found])
+            worst = sum(error > 3 and fits for error, fits in found)
+            print(
+                f"share {share:.2f}, {tolerance}: beyond {np.mean(beyond > 1):.1%}, three times {worst},"
+                f" most {beyond.max():.1f}; slices {slices:.2f}"
+            )
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--backend", default="opencl")
     parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--noise", type=int, default=0, metavar="SKIES")
     args = parser.parse_args()
+    if args.noise:
+        return of_noise(args.backend, args.noise)
     rng, chosen = np.random.default_rng(args.seed), renderer._refined_lobe
     depth = fractal(48, 0.6, 1.8, args.seed)
     depth = depth - depth.min() + 2

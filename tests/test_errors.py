@@ -259,6 +259,12 @@ RENDER = {
         lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., :2]), backend="numpy"),
         ["brightness function: wrong result", "shape"],
     ),
+    "brightness in colour": (
+        lambda: sl.recover(
+            np.ones((6, 4)), sl.Sky(lambda L: np.ones((*L.shape[:-1], 3))), albedo=0.5, backend="numpy"
+        ),
+        ["brightness function: wrong result", "Only render takes colour"],
+    ),
     "brightness of negative value": (
         lambda: sl.render(SCENE, sl.Sky(lambda L: L[..., 2]), backend="numpy"),
         ["brightness function", "L =", ">= 0"],

@@ -218,6 +218,12 @@ def test_drag_change_click_and_save_in_a_browser(file, tmp_path):
                 e for e in browser.find_elements(By.CSS_SELECTOR, ".q-img img") if e.is_displayed()
             ]
             until(plots, "the horizon of a node")
+            stale = plots()[0].get_attribute("src")
+            ActionChains(browser).move_to_element(slider).click().send_keys(Keys.ARROW_LEFT).perform()
+            until(
+                lambda: plots() and plots()[0].get_attribute("src") != stale, "its horizon over other heights"
+            )
+            until(refined, "the image of these")
             browser.find_element(By.CSS_SELECTOR, ".save").click()
             until((tmp_path / "skylamp.png").exists, "the saved image")
             if os.environ.get("SKYLAMP_SCREENSHOT"):

@@ -243,6 +243,7 @@ class Page:
         self.changed = asyncio.Event()
         self.pressed: tuple[float, float] | None = None  # where the button went down [pixel of the screen]
         self.dragged = False  # since the button was pressed: a drag may end where it began
+        self.node: tuple[float, float] | None = None  # whose horizon is shown, (x, y)
         self.frames, self.running = 0, False
         rows, cols = viewer.ground.values.shape
         # width and height of the picture [pixel of the screen]
@@ -263,7 +264,8 @@ class Page:
             with ui.column().style("min-width: 22em"):
                 self._controls()
                 self.code = ui.code("", language="python").classes("w-full")
-        ui.context.client.on_connect(self._loop)
+        self.client = ui.context.client
+        self.client.on_connect(self._loop)
 
     def _controls(self) -> None:
         ui, settings = self.ui, self.settings
@@ -332,7 +334,9 @@ class Page:
         """Frames while settings change, the refined image when they rest: one render at a time."""
         if self.running:  # a browser that connects again
             return
-        self.running = True
+        self.running, task = True, asyncio.current_task()
+        assert task is not None, "NiceGUI runs what a connection begins as a task"
+        self.client.on_delete(lambda: task.cancel())  # the browser is gone for good
         await self._refine(self.settings)
         while True:
             await self.changed.wait()
@@ -359,6 +363,8 @@ class Page:
                              f" {100 * error:.2g} %")  # fmt: skip
         self.plan.set_text("; ".join([done.plan.line, *done.warnings]))
         self.code.set_content(self.viewer.code(settings))
+        if self.node is not None:
+            await self._show_horizon(*self.node)
 
     async def _shown(self, rendered: Any, settings: Settings) -> Rendering | None:
         """The rendering, once its picture is on the page; None where it fails, or the server ends."""
@@ -379,6 +385,7 @@ class Page:
         rows, cols = self.viewer.ground.values.shape
         row, col = min(rows - 1, max(0, int(y))), min(cols - 1, max(0, int(x)))
         drawn = await self._done(self.viewer.horizon_plot, self.settings, row, col)
+        self.node = None if drawn is None else (x, y)
         self.horizon.set_visibility(drawn is not None)
         if drawn is not None:
             self.horizon.set_source(data_url(drawn, "png"))

@@ -43,7 +43,7 @@ UNSETTLED = 0.0025
 # the recoveries of POORLY in 1, 27 and 11 of 30. At so many pixels 2, 28 and 13 are brighter, at half as many
 # 2, 28 and 14, at twice as many 0, 25 and 12
 TOO_BRIGHT, TOO_MANY = 0.1, 0.02
-LEAST_LIGHT = 0.01  # share of the image (RMS) below which a model has no light; chosen
+UNLIT_MODEL = 0.01  # share of the image (RMS) below which a model has no light; chosen
 # median of the albedo that is found from which on images are in another unit than brightness; chosen: light
 # between surfaces, taken for direct light, makes a white surface seem brighter, but hardly three times
 IN_ANOTHER_UNIT = 3.0
@@ -176,7 +176,7 @@ def of_residual(pyramid: Pyramid, residual: np.ndarray, image: str = "image") ->
     too_bright = (residual < -TOO_BRIGHT * IMAGE_RMS) & (residual < -DEVIATIONS * pyramid.noise)
     if too_bright.mean() > TOO_MANY:
         why = "a larger albedo or brightness, or other sides, may be right."
-        if residual.max() <= 0 and rms > 1 - LEAST_LIGHT:
+        if residual.max() <= 0 and rms > 1 - UNLIT_MODEL:
             why = "no light of the source reaches the surface. Check where it is, and which way it shines."
         warnings.append(
             f"{image.capitalize()} brighter than the model can make it at {too_bright.mean():.0%} of the"

@@ -408,6 +408,7 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
             "brightness function: wrong result",
             f"dtype {values.dtype}, shape {values.shape} for directions {directions.shape}",
             f"real numbers of shape {directions.shape[:-1]}",
+            "Only render takes colour." if values.shape == (*directions.shape[:-1], 3) else "",
         )
     values = np.broadcast_to(values.astype(np.float64), directions.shape[:-1])
     if values.size and not (values.min() >= 0 and values.max() <= BRIGHTEST):  # so too with a NaN among them
