@@ -398,7 +398,7 @@ def tile_of(
     valid = _valid(window)
     if valid is not None and not valid.any():
         return _nothing(part, rows, cols)
-    scene = _scene_of(window, valid, layout.spacing, albedo)
+    scene = _scene_of(window, valid, layout.spacing, albedo, (row - before[0], col - before[1]))
     far, max_distance = None, layout.max_distance
     if top is not None:
         assert low is not None, "there are overviews of all levels, or of none"
@@ -484,9 +484,14 @@ def seen_from_edge(
 
 
 def _scene_of(
-    window: np.ndarray, valid: np.ndarray | None, spacing: float, albedo: Any, sides: str = "open"
+    window: np.ndarray,
+    valid: np.ndarray | None,
+    spacing: float,
+    albedo: Any,
+    first: tuple[int, int] | None = None,
+    sides: str = "open",
 ) -> Scene:
-    """The scene of a window; where it is not ``valid`` it is masked."""
+    """The scene of a window; where it is not ``valid`` it is masked. first: its first node's (row, col)."""
     albedo = np.asarray(albedo)
     heights = window if valid is None else np.where(valid, window, 0)
     surface = np.moveaxis(albedo, 0, -1) if albedo.ndim == 3 else albedo
@@ -494,7 +499,8 @@ def _scene_of(
         return Scene.from_height(heights, spacing, surface, valid, sides)
     except InputError as error:  # it may tell rows and columns
         rows, cols = window.shape
-        raise InputError(f"In a window of {rows} x {cols} nodes of the map: {error}") from None
+        where = "" if first is None else f"its first node is (row, col) = {first}; "
+        raise InputError(f"In a window of {rows} x {cols} nodes of the map: {where}{error}") from None
 
 
 def _nothing(part: slice | None, *shape: int) -> np.ndarray:
@@ -650,7 +656,8 @@ def _area(
     if valid is not None and not valid.any():
         return np.full((*((3,) if work.in_colour else ()), *window.shape), np.nan, np.float32)
     below = float(highest) - float((window if valid is None else window[valid]).max())
-    values: np.ndarray = work(_scene_of(window, valid, spacing, albedo), rows.start, cols.start, below)
+    scene = _scene_of(window, valid, spacing, albedo, (rows.start, cols.start))
+    values: np.ndarray = work(scene, rows.start, cols.start, below)
     return values
 
 
@@ -900,7 +907,7 @@ def _whole(
         return _nothing(part, *window.shape)
     if layout.undecided:
         work, layout = decided_by_sums(work, layout, sums_of_tile(work, layout.spacing, window, albedo))
-    scene = _scene_of(window, valid, layout.spacing, albedo, sides)
+    scene = _scene_of(window, valid, layout.spacing, albedo, sides=sides)
     return work(scene, max_distance, None) if part is None else work(scene, max_distance, None, part)
 
 

@@ -1,5 +1,6 @@
 """Lazy maps as users of xarray, rioxarray and Dask bring them, and what becomes of their results there."""
 
+import re
 import warnings
 
 import numpy as np
@@ -228,6 +229,18 @@ def test_errors_of_tiles_tell_where_rows_are_counted_from(fast):
         lazy = image(scene, sl.Sky(), fast, azimuths=4)
         with pytest.raises(sl.errors.InputError, match=f"In a window of .* nodes of the map: .*{what}"):
             lazy.compute(scheduler="sync")
+
+
+def test_the_window_of_an_error_is_found_on_the_map(fast):
+    """Its first node, and the row and column within it, are those of the wrong albedo."""
+    heights, albedo = np.zeros((300, 300)), np.full((300, 300), 0.5)
+    albedo[200, 250] = 1.5
+    scene = sl.Scene.from_height(da.from_array(heights, chunks=100), 1.0, albedo=albedo)
+    lazy = sl.render(scene, sl.Sky(), azimuths=4, tiling=sl.Tiling(128, 16, 8), backend=fast).image
+    with pytest.raises(sl.InputError) as error:
+        lazy.compute(scheduler="sync")
+    first, within = re.findall(r"\(row, col\) = \((\d+), (\d+)\)", str(error.value))
+    assert [int(a) + int(b) for a, b in zip(first, within)] == [200, 250]
 
 
 @pytest.mark.parametrize("lazy", [False, True])
