@@ -20,7 +20,17 @@ from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
 from .place import FreePlace, free_place, most_of
 from .posterior import posterior_deviation, posterior_samples, shift_by
-from .pyramid import NEAREST, NORMAL_QUARTILE, SMALL, Pyramid, lit, noise_at, on_coarser_grid, residuals_of
+from .pyramid import (
+    MODEL_ERROR,
+    NEAREST,
+    NORMAL_QUARTILE,
+    SMALL,
+    Pyramid,
+    lit,
+    noise_at,
+    on_coarser_grid,
+    residuals_of,
+)
 from .resampling import blurred, distance_from, doubled, halved, halved_depth
 from .search import Rival
 
@@ -31,9 +41,9 @@ RIGHT, LEAST_RIGHT = 1 / 64, 1.0
 APART = 0.05  # least distance of a candidate from the depth, as a share of the range of depths
 CANDIDATES = 2  # most other depths of a pixel
 PROBE = 0.01  # noise of the posterior's probes [unit of the pyramid's images]; the posterior is linear in it
-# errors of the model count as noise: at least so much [unit of the pyramid's images], and so many times the
-# misfit beyond the image's noise; performance/doubt.py
-MODEL_ERROR, MISFIT_WEIGHT = 5e-4, 2.3
+# errors of the model count as noise, besides MODEL_ERROR so many times the misfit beyond the image's noise;
+# performance/doubt.py
+MISFIT_WEIGHT = 2.3
 # times that under one window or rectangular lamp, whose edges cast light that changes within a node. Of six
 # smooth surfaces under three windows and two lamps 63 to 84 % of the true depths are then within 1 std and 88
 # to 99 % within 2, with 1 36 to 53 and 65 to 88 %, with 5 80 to 96 and 95 to 99 %

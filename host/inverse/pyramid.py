@@ -24,8 +24,9 @@ from .resampling import cubic, doubled, halved
 
 log = logging.getLogger("skylamp")
 COARSEST = 16  # nodes on the shorter side of the coarsest grid
-# light [unit of the scaled images] up to which a pixel is dark: the model's own error, confidence.MODEL_ERROR
-BLACK = 5e-4
+# errors of the model [unit of the scaled images]: at least so much counts as noise, and a pixel with no more
+# light is dark; performance/doubt.py
+MODEL_ERROR = 5e-4
 IMAGE_RMS = 0.4  # rms to which images are scaled, so that one smoothness fits all
 AZIMUTHS = 24  # of a sky in the model
 # smoothness [1 / spacing^2] for an image without noise; on a large grid, where relief is rough
@@ -310,9 +311,9 @@ def shown(pyramid: Pyramid, level: int) -> np.ndarray:
 
 
 def lit(pyramid: Pyramid, level: int) -> np.ndarray:
-    """(rows, cols) bool: nodes of a grid of which an image shows light; others only tell that it is dark."""
+    """(rows, cols) bool: nodes of a grid of which an image shows light, and not only that they are dark."""
     images = zip(pyramid.images[level], pyramid.weights[level])
-    nodes: np.ndarray = np.any([(image > BLACK) & (weight > 0) for image, weight in images], axis=0)
+    nodes: np.ndarray = np.any([(image > MODEL_ERROR) & (weight > 0) for image, weight in images], axis=0)
     return nodes
 
 
