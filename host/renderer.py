@@ -124,9 +124,10 @@ class Renderer:
                 first = np.repeat(first[..., None], image.shape[-1], -1)
             rest = image - first
         image, first, rest = (labelled(v, scene.labels, IMAGES[quantity]) for v in (image, first, rest))
+        plan = self.plans[0] if self.plans[0].seconds is None else replace(self.plans[0], seconds=seconds)
         return Rendering(
             image,
-            self.plans[0],
+            plan,
             self.engine.name,
             seconds,
             compiling,
@@ -431,14 +432,15 @@ def _interreflected(call: Renderer, direct: Sequence[Irradiance]) -> Sequence[Ir
     if alike and factors is not None and _is_above_horizons(call):
         sky = scaled(lights[0], 1 / np.pi)
     error = max((plan.error or 0.0 for plan in call.plans), default=0.0)
+    known = not call.planned or all(plan.error is not None for plan in call.plans)
     why = "as asked"
     if options.interreflection == "auto":
         why = reason(call.share, tolerance)
     bounds: dict[str, Any] = dict(tail=options.tail, max_distance=options.max_distance)
     both = included(scene, call.engine, lights, tolerance, why, error, sky, **bounds)
-    call.interreflection = both.record
+    call.interreflection = both.record if known else replace(both.record, error=None)
     call.warnings.extend(both.warnings)
-    if call.planned:
+    if call.planned and known:
         plan, all_light = call.plans[0], both.record.error or 0.0
         how = f"RMS over the mean, by exact strips at {CHECKED} nodes; the error above is of direct light"
         call.plans[0] = replace(

@@ -78,7 +78,8 @@ def render(
         Tile by tile, as lazy scenes, which give lazy images, and maps beyond the device's memory: see
         :func:`skylamp.horizons`. Skies in 64 azimuths unless given, suns in their own; no refinement.
     max_seconds : float
-        OutOfTimeError once they are over, compiling apart; looked at before each launch. Not of lazy scenes.
+        OutOfTimeError once they are over, compiling apart; looked at before each launch and evaluation of
+        brightness. Not of lazy scenes.
 
     Examples
     --------

@@ -1,11 +1,13 @@
 """max_seconds: a call that is given too few ends with one error, with enough it gives what it always does."""
 
+import functools
+
 import numpy as np
 import pytest
 from compare import assert_bits_equal
 
 import skylamp as sl
-from skylamp.backends import base
+from skylamp.backends import base, select
 
 SCENE = sl.Scene(np.random.default_rng(0).random((12, 17)) * 4)
 LAMP = sl.Lamp((5.0, 6.0, -9.0), 3.0)
@@ -43,6 +45,36 @@ def test_time_runs_out_between_launches(fast, monkeypatch):
     monkeypatch.setattr(base.time, "perf_counter", lambda: float(next(ticks)))
     with pytest.raises(sl.OutOfTimeError, match="after [1-9] steps"):
         sl.visibility_field(SCENE, LAMP, 3, backend=fast, max_seconds=3)
+
+
+def test_time_runs_out_between_evaluations_of_brightness(fast, monkeypatch):
+    """A function of a second a call: tables of it were made to the end, 8 s of a limit of 1."""
+    calls = []
+
+    def slow(L):
+        calls.append(len(L))
+        return 1 + np.sign(np.sin(400 * L[..., 0] * L[..., 1]))
+
+    monkeypatch.setattr(base.time, "perf_counter", lambda: float(len(calls)))
+    with pytest.raises(sl.OutOfTimeError):
+        sl.render(SCENE, sl.Sky(slow), backend=fast, max_seconds=5)
+    assert len(calls) <= 7  # one of them before the limit begins
+
+
+def test_a_call_with_a_limit_waits_for_every_launch(fast, monkeypatch):
+    """All launches were queued at once, so that the time passed, unseen, in the last transfer."""
+    engine, happened = select(fast), []
+    for name in ("launch", "finish"):
+        own = getattr(type(engine), name).__wrapped__
+
+        def noted(self, *args, own=own, name=name, **more):
+            happened.append(name)
+            return own(self, *args, **more)
+
+        monkeypatch.setattr(type(engine), name, base._locked(functools.wraps(own)(noted)))
+    sl.horizons(SCENE, 4, fast, max_seconds=600)
+    launches = [n for n, name in enumerate(happened) if name == "launch"]
+    assert len(launches) > 2 and all(happened[n + 1] == "finish" for n in launches)
 
 
 @pytest.mark.parametrize("seconds", [0, -1, np.nan, "soon"])

@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike
 
+from .. import deadline
 from ..checks import positive_number
 from ..constants import MOST_PIXELS, PIXEL_PADDING
 from ..errors import CapacityError, OutOfTimeError
@@ -96,24 +97,22 @@ def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(method)
     def locked(self: Backend, *args: Any, **more: Any) -> Any:
         with self.lock:
-            check: Callable[[], None] | None = getattr(_call, "check", None)
-            if check is not None:
-                check()
-            return method(self, *args, **more)
+            deadline.check()
+            result = method(self, *args, **more)
+            if deadline.limited() and method.__name__ == "launch":
+                self.finish()  # else all are queued at once, and the time passes in the last transfer
+            return result
 
     return locked
 
 
-_call = threading.local()  # state of the call that this thread is in
-
-
 @contextlib.contextmanager
 def within(seconds: float | None, what: str, engine: Backend) -> Iterator[None]:
-    """Within this context, transfers and launches of this thread raise OutOfTimeError once ``seconds`` are
-    over, without those of compiling.
+    """Within this context, transfers, launches and evaluations of brightness by this thread raise
+    OutOfTimeError once ``seconds`` are over, without those of compiling.
 
-    The clock is read before each of them, so a call ends later by its longest one. The result does not depend
-    on it. None: no limit but that of a call around this one.
+    The clock is read before each of them, so a call ends later by its longest one. Launches come one after
+    another; the result does not depend on it. None: no limit but that of a call around this one.
     """
     if seconds is None:
         yield
@@ -128,11 +127,8 @@ def within(seconds: float | None, what: str, engine: Backend) -> Iterator[None]:
                 " larger tolerance, or fewer azimuths, directions or nodes."
             )
 
-    before, _call.check = getattr(_call, "check", None), check
-    try:
+    with deadline.checked_by(check):
         yield
-    finally:
-        _call.check = before
 
 
 @dataclass(frozen=True)

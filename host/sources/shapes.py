@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .. import deadline
 from ..arrays import Labels, host_array, labels_of, lies_on
 from ..constants import APERTURE, BALL, RECTANGLE, SKY, VOLUME
 from ..errors import CapacityError, InputError, bad
@@ -384,6 +385,7 @@ def radiance(source: Source, directions: np.ndarray) -> np.ndarray:
     Raises InputError where it is not finite or negative.
     """
     check_source(source)
+    deadline.check()
     brightness: Any = source.brightness
     if isinstance(brightness, tuple):
         raise bad(
