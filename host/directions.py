@@ -41,6 +41,12 @@ class Hemicube:
     ------
     InputError
         If ``size`` is not an odd whole number from 3 to 129.
+
+    Examples
+    --------
+    >>> cube = sl.Hemicube(9)
+    >>> cube.directions.shape, round(float(cube.solid_angles.sum() / np.pi), 6)
+    ((209, 3), 2.0)
     """
 
     size: int
@@ -128,6 +134,11 @@ class Azimuths:
     ------
     InputError
         If ``count`` is not a whole number from 1 to 4096, or ``edges`` do not increase over 2 pi.
+
+    Examples
+    --------
+    >>> sl.Azimuths(4).angles.round(3)
+    array([0.785, 2.356, 3.927, 5.498])
     """
 
     count: int

@@ -82,6 +82,15 @@ def horizons(
     -------
     (azimuths, rows, cols) float32 [tangent]
         A NumPy array, DataArray or lazy array, as the scene is; a DeviceImage where its map lies on a GPU.
+
+    Examples
+    --------
+    >>> wall = np.zeros((3, 9))
+    >>> wall[:, 6] = 2.0
+    >>> east = sl.Azimuths(1, edges=(-np.pi, np.pi))  # along its middle, +x
+    >>> sl.horizons(sl.Scene.from_height(wall), east)[0, 1, :6]
+    array([0.33333334, 0.4       , 0.5       , 0.6666667 , 1.        ,
+           2.        ], dtype=float32)
     """
     scene = _scene_of(scene)
     azimuths = sectors_of(azimuths)
@@ -172,6 +181,15 @@ def sky_view_factor(
     -------
     (rows, cols) float32 [1]
         A NumPy array, DataArray or lazy array, as the scene is.
+
+    Examples
+    --------
+    >>> pit = np.zeros((3, 3))
+    >>> pit[1, 1] = -1.0  # eight neighbours one spacing above it
+    >>> sl.sky_view_factor(sl.Scene.from_height(pit)).round(1)
+    array([[1. , 0.9, 1. ],
+           [0.9, 0.6, 0.9],
+           [1. , 0.9, 1. ]], dtype=float32)
     """
     one_of(definition, tuple(VIEW), "definition")
     scene = _scene_of(scene)
@@ -241,6 +259,12 @@ def openness(
     -------
     (rows, cols) float32 [rad]
         A NumPy array, DataArray or lazy array, as the scene is.
+
+    Examples
+    --------
+    >>> flat = sl.Scene.from_height(np.zeros((5, 5)))
+    >>> round(float(sl.openness(flat, 8)[2, 2]), 4)
+    1.5708
     """
     scene = _scene_of(scene)
     if not isinstance(negative, (bool, np.bool_)):

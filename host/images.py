@@ -41,6 +41,12 @@ class Rendering:
     call without compiling, compile_seconds; warnings (one sentence each). interreflection: the decision
     about the light between surfaces. direct, reflected: with ``parts=True``, the image by direct light alone
     (ground in mirrors is black), and the rest of it; a tolerance is a share of the mean of both together.
+
+    Examples
+    --------
+    >>> done = sl.render(sl.Scene(np.zeros((3, 3)), albedo=0.5), sl.Sky(), parts=True)
+    >>> done.image.shape, done.warnings, bool(done.reflected.any())
+    ((3, 3), [], False)
     """
 
     image: np.ndarray

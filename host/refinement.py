@@ -102,6 +102,13 @@ def plan(
     Raises
     ------
     InputError, BackendError, CapacityError
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[:64, :64]
+    >>> plan = sl.plan(sl.Scene.from_height(3 * np.sin(x / 5) * np.sin(y / 7)), sl.Sky(), tolerance=0.003)
+    >>> plan.method, plan.azimuths >= 8
+    ('horizon', True)
     """
     check_scene(scene)
     check_choice(interreflection)

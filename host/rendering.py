@@ -78,12 +78,11 @@ def render(
         Tile by tile, as lazy scenes, which give lazy images, and maps beyond the device's memory: see
         :func:`skylamp.horizons`. Skies in 64 azimuths unless given, suns in their own; no refinement.
     max_seconds : float
-        OutOfTimeError once they are over, compiling apart; looked at before each launch and evaluation of
-        brightness. Not of lazy scenes.
+        OutOfTimeError once they are over, compiling apart; looked at before each launch. Not of lazy scenes.
 
     Examples
     --------
-    >>> print(render(Scene(depth), Sky(), tolerance=0.003).plan)
+    >>> image = sl.render(sl.Scene(np.zeros((3, 3)), albedo=0.5), sl.Sky(2.0)).image  # 1: albedo E / pi
     """
     asked = method, tolerance, quantity, hemicube, filled, weights, azimuths, max_distance, tail
     options = Options(*asked, interreflection, parts)

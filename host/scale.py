@@ -957,6 +957,10 @@ def devices(*names: str) -> Any:
     -------
     distributed.WorkerPlugin
         For ``client.register_plugin``.
+
+    Examples
+    --------
+    >>> client.register_plugin(sl.devices())  # doctest: +SKIP
     """
     try:
         from distributed import WorkerPlugin

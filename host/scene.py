@@ -90,6 +90,14 @@ class Scene:
         For an array of wrong shape or type, an empty one, NaN or infinity where the mask is True,
         negative depth, an albedo outside 0 to 1, a spacing that is not positive, unknown sides, or a
         reflectance that is not energy-bounded.
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[:64, :64]
+    >>> scene = sl.Scene(5 + np.sin(x / 4), spacing=2.0, albedo=0.5, sides="periodic")
+    >>> terrain = sl.Scene.from_height(100 * np.sin(y / 9), spacing=30.0)
+    >>> terrain.shape, round(float(terrain.depth.min()), 3)
+    ((64, 64), 0.0)
     """
 
     depth: np.ndarray = field(repr=False)

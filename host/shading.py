@@ -70,8 +70,12 @@ def normals(scene: Scene) -> np.ndarray:
     (rows, cols, 3) float32 [1]
         A NumPy array; a DataArray with the dimension ``component`` (x, y, z), if the scene was made from one.
 
-    Example: ``(1 + sl.normals(scene) * (1, -1, -1)) / 2`` is a normal map's RGB: x right, y up, z to the
-    viewer.
+    ``(1 + sl.normals(scene) * (1, -1, -1)) / 2`` is a normal map's RGB: x right, y up, z to the viewer.
+
+    Examples
+    --------
+    >>> sl.normals(sl.Scene(1.0 * np.mgrid[:3, :3][1]))[1, 1].round(3)
+    array([ 0.707,  0.   , -0.707], dtype=float32)
     """
     check_scene(scene)
     valid = scene.valid

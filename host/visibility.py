@@ -42,6 +42,13 @@ def visibility(
     of a kernel.
 
     Raises InputError, BackendError, CapacityError or OutOfTimeError.
+
+    Examples
+    --------
+    >>> cube = sl.Hemicube(5)
+    >>> words = sl.visibility(sl.Scene(np.zeros((3, 3))), sl.Sky(), cube)
+    >>> words.shape, bool(cube.unpack(words).all())
+    ((3, 3, 2), True)
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     one_of(algorithm, ("scan", "propagate"), "algorithm")
@@ -89,6 +96,14 @@ def visibility_field(
     -------
     VisibilityField
         Its ``words`` are packed bits, (layers, words, rows, cols) uint32.
+
+    Examples
+    --------
+    >>> pit = np.zeros((5, 5))
+    >>> pit[2, 2] = 3
+    >>> field = sl.visibility_field(sl.Scene(pit), sl.Sky(), 3)
+    >>> field.words.shape
+    (4, 1, 5, 5)
     """
     cube = hemicube if isinstance(hemicube, Hemicube) else Hemicube(hemicube)
     if progress is not None and not callable(progress):
@@ -130,6 +145,12 @@ class VisibilityField:
         The arguments that it was made from.
     depth : (rows, cols) float32
         Depth of the surface in layers, +inf where masked.
+
+    Examples
+    --------
+    >>> field = sl.visibility_field(sl.Scene(np.full((5, 5), 3.0)), sl.Sky(), 3)
+    >>> field.words.shape
+    (4, 1, 5, 5)
     """
 
     words: np.ndarray
@@ -259,6 +280,13 @@ class View:
     vectors from the point; solid_angles (n,) [sr], summing to 4 pi; visible (n,) bool: the source is seen;
     brightness (n,) [unit of the source's]; hit (n, 2) int: (row, col) of the surface that is seen, -1 where
     it is not the surface.
+
+    Examples
+    --------
+    >>> field = sl.visibility_field(sl.Scene(np.full((5, 5), 3.0)), sl.Sky(), 3)
+    >>> view = field.view((2, 2, 1))
+    >>> round(float(view.solid_angles.sum() / np.pi), 6), bool(view.visible[view.directions[:, 2] < 0].all())
+    (4.0, True)
     """
 
     steps: np.ndarray

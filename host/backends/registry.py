@@ -28,6 +28,11 @@ def backends() -> list[BackendInfo]:
     -------
     list of BackendInfo
         With name, device, available and, where it is not, the reason ``why``.
+
+    Examples
+    --------
+    >>> [info.name for info in sl.backends() if info.available][-1]
+    'numpy'
     """
     with _lock:
         infos = _probe()

@@ -80,6 +80,16 @@ class Recovery:
     alone; backend (its name); seconds since the call, without compiling; compile_seconds; warnings;
     interreflection: whether the model of the images has light between surfaces. Arrays of an image that is an
     xarray.DataArray are some too.
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[:16, :16]
+    >>> depth = 6 + 2 * np.sin(x / 4) * np.sin(y / 4)
+    >>> scene = sl.Scene(depth, albedo=0.3, sides="dark")
+    >>> image = sl.render(scene, sl.Sky(), interreflection=False).image
+    >>> found = sl.recover(image, sl.Sky(), 0.3, "dark", layers=16, interreflection=False)
+    >>> bool(np.sqrt(np.mean((found.depth - depth) ** 2)) < 0.2), found.confidence.shape
+    (True, (16, 16))
     """
 
     depth: np.ndarray
@@ -123,20 +133,18 @@ def recover(
     Parameters
     ----------
     image : (rows, cols) real array, or a list of such
-        Radiance, in the unit of the source's brightness. Finite, >= 0. Several are for method="robust"; those
-        of the same light count as one, their mean.
+        Radiance [unit of brightness], finite, >= 0. Those of the same light count as one, their mean.
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
         As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0; or None, of several
-        images by method="robust": every pixel's is found with its depth. It exceeds 1 if images are in
-        another unit than brightness; "auto" then leaves light between surfaces out. For method="paper" a lamp
-        must lie above z = 0 or be a volume that starts at layer 0, since carving starts at z = 0.
+        images: every pixel's is found with its depth. It exceeds 1 if images are in another unit than
+        brightness; "auto" then leaves light between surfaces out.
     layers : int
         The deepest depth in spacings, unless ``far`` is given; the lattice's depth.
     method : "robust" or "paper"
-        ``robust``: the surface whose image, by horizons and with normals, is nearest to the given one
-        (docs/explanation). ``paper``: carving (Langer and Zucker, section 6, Eq. 4): all columns start at
-        depth 0 and go down a layer at a time while their luminance, with N.L = 1/2, is not the image's.
+        ``robust``: the surface whose image, by horizons and with normals, is nearest to the given ones
+        (docs/explanation). ``paper``: one image, carved (Langer and Zucker, section 6, Eq. 4): columns go
+        down from z = 0, above which a lamp must lie, until their luminance, with N.L = 1/2, is the image's.
     hemicube, eps, stop
         Of method="paper"; "robust" warns. stop="eps": a column stops where |B - I| <= eps x max(image);
         "sign": at the first layer where B equals I or has passed it; this often drills fewer columns.
@@ -156,11 +164,13 @@ def recover(
     progress : callable, optional
         Called with (levels or layers done, their number, which may double). Logger "skylamp" gets residuals.
 
-    Returns
-    -------
-    Recovery
-        Depth (rows, cols) float32 [unit of spacing], its confidence, candidates and warnings.
-        Raises InputError, BackendError, CapacityError or OutOfTimeError.
+    Returns a Recovery, or raises InputError, BackendError, CapacityError or OutOfTimeError.
+
+    Examples
+    --------
+    >>> found = sl.recover(np.full((8, 8), 0.5), sl.Sky(), 0.5, "dark", layers=8, interreflection=False)
+    >>> found.depth.shape, found.std.shape
+    ((8, 8), (8, 8))
     """
     one_of(method, RECOVER_METHODS, "method")
     one_of(stop, STOPS, "stop")

@@ -57,6 +57,13 @@ class Tiling:
     Raises
     ------
     InputError
+
+    Examples
+    --------
+    >>> heights = 9.0 * np.random.default_rng(0).random((96, 96))
+    >>> small = sl.Tiling(tile=64, halo=16, rule=8)
+    >>> sl.sky_view_factor(sl.Scene.from_height(heights), azimuths=8, tiling=small).shape
+    (96, 96)
     """
 
     tile: int = 8192

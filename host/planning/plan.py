@@ -48,6 +48,12 @@ class Plan:
     and the model lacks, with numbers; interreflection: estimated RMS of the light between surfaces over the
     mean of the direct light. seconds of the whole call and planning_seconds before the first image are
     measured; no decision depends on them. Fields that do not apply are None or empty.
+
+    Examples
+    --------
+    >>> plan = sl.plan(sl.Scene(np.zeros((8, 8))), sl.Sky())
+    >>> plan.error < plan.tolerance
+    True
     """
 
     method: str

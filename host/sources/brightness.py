@@ -171,6 +171,11 @@ def uniform(brightness: float = 1.0) -> BrightnessFunction:
     -------
     function
         Of unit vectors (..., 3); it returns the same brightness (...) for all.
+
+    Examples
+    --------
+    >>> sl.uniform(0.5)(np.array([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8]]))
+    array([0.5, 0.5])
     """
     return Formula(_uniform, (brightness_number(brightness),), ())
 
@@ -191,6 +196,13 @@ def cosine_power(
     -------
     function
         Of unit vectors (..., 3); it returns their brightness (...) [unit of ``brightness``].
+
+    Examples
+    --------
+    >>> spot = sl.Lamp(center=(8, 8, -20), radius=1, brightness=sl.cosine_power(60, axis=(0.2, 0, 1)))
+    >>> image = sl.render(sl.Scene(np.zeros((17, 17))), spot).image
+    >>> bool(image[8, 12] > image[8, 0])
+    True
     """
     along = np.array(numbers(axis, 3, "cosine_power: axis", "(x, y, z)"))
     if not along.any():
@@ -216,6 +228,11 @@ def cie_overcast(zenith: float = 1.0) -> BrightnessFunction:
     -------
     function
         Of unit vectors (..., 3); it returns their brightness (...) [unit of ``zenith``].
+
+    Examples
+    --------
+    >>> sl.cie_overcast(3.0)(np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]))
+    array([3., 1.])
     """
     return Formula(_overcast, (brightness_number(zenith),), ())
 
@@ -235,6 +252,15 @@ def environment_map(array: Any) -> BrightnessFunction:
     -------
     function
         Of unit vectors (..., 3); it returns brightness (...), or (..., 3) in colour [unit of ``array``].
+
+    Examples
+    --------
+    >>> east = np.zeros((32, 64))
+    >>> east[14:18, [0, -1]] = 100  # light from +x, near the level
+    >>> sky = sl.Sky(sl.environment_map(east))
+    >>> slope = sl.Scene(5 + 0.5 * np.mgrid[:8, :8][1])  # deeper with x: it looks there
+    >>> bool(sl.render(slope, sky).image.min() > sl.render(sl.Scene(np.zeros((8, 8))), sky).image.max())
+    True
     """
     image = real_array(array, "environment_map", None)
     if image.ndim != 2 and (image.ndim != 3 or image.shape[2] != 3):

@@ -39,6 +39,12 @@ class CieSky(Distribution):
     irradiance by the sun's disc of a surface that faces it. The function itself is the sky without the disc,
     which :func:`skylamp.render` adds: as a part of the integrated sky, or, where a method is asked for, as a
     lamp far away, in slices. No set of directions is fine enough for it.
+
+    Examples
+    --------
+    >>> sky = sl.cie_sky(12, sun=(135, 30), horizontal=100, direct=700)
+    >>> sky.sun, round(float(sky(np.array([0, 0, -1])) / sky.zenith), 6)
+    ((135.0, 30.0), 1.0)
     """
 
     type: int
@@ -122,6 +128,12 @@ def cie_sky(
     ------
     InputError
         For another type, a sun that is missing or not above the horizon, or brightness that is not finite.
+
+    Examples
+    --------
+    >>> sky = sl.cie_sky(12, sun=(180, 45), zenith=2.0)
+    >>> round(float(sky(np.array([0, 0, -1]))), 6)
+    2.0
     """
     if isinstance(type, bool) or not isinstance(type, (int, float, np.number)) or type not in PARAMETERS:
         raise bad("cie_sky: type", repr(type), "a whole number from 1 to 15")
@@ -158,6 +170,13 @@ def cie_clear(
     -------
     CieSky
         A function of unit vectors (..., 3) that returns their brightness (...) [unit of ``zenith``].
+
+    Examples
+    --------
+    >>> sky = sl.Sky(sl.cie_clear((135, 30), horizontal=90, direct=600))
+    >>> E = sl.render(sl.Scene(np.zeros((3, 3))), sky, quantity="irradiance").image
+    >>> round(float(E[1, 1]))  # 90 + 600 sin 30
+    390
     """
     return cie_sky(13 if turbid else 12, sun, zenith, horizontal=horizontal, direct=direct)
 
@@ -178,6 +197,12 @@ def sun_position(
     (azimuth, elevation) [degree]
         Azimuth clockwise from true north, elevation above the horizontal plane. The azimuth on a map is this
         less :func:`skylamp.geo.convergence` of it.
+
+    Examples
+    --------
+    >>> azimuth, elevation = sl.sun_position("2026-06-21T12:00+00:00", 51.48, 0.0)
+    >>> round(azimuth), round(elevation)
+    (179, 62)
     """
     try:
         when = datetime.datetime.fromisoformat(time) if isinstance(time, str) else time

@@ -47,6 +47,12 @@ class SkyOverTime(EnvironmentMap):
     suns: number of positions of the sun above the horizon. Cells are 0.14 degrees high, which blurs a disc of
     0.53 degrees a little: at one time with the sun lower than two degrees shadows on rough ground err by
     0.5 to 1 % (RMS), whatever the tolerance is; a ``CieSky`` with ``direct`` has no such limit.
+
+    Examples
+    --------
+    >>> year = sl.sky_over_time(["2026-06-21T12:00+02:00"], 48.0, 9.0, hours=1)
+    >>> year.image.shape, year.suns, year.dhi < year.ghi
+    ((1280, 2304), 1, True)
     """
 
     ghi: float
@@ -113,8 +119,11 @@ def sky_over_time(
     --------
     >>> import pandas
     >>> hours = pandas.date_range("2026-01-01", "2027-01-01", freq="h", inclusive="left", tz="UTC")
-    >>> year = sky_over_time(hours, 36.6, -84.2, altitude=500)
-    >>> irradiation = render(scene, Sky(year), quantity="irradiance").image   # kWh m^-2
+    >>> year = sl.sky_over_time(hours, 36.6, -84.2, altitude=500)
+    >>> flat = sl.Scene.from_height(np.zeros((3, 3)))
+    >>> kwh = sl.render(flat, sl.Sky(year), quantity="irradiance", azimuths=16).image[1, 1]
+    >>> round(float(kwh / year.ghi), 2)
+    1.0
     """
     place = check_place("sky_over_time", latitude, longitude, altitude)
     pandas, pvlib = import_extra("sky_over_time", "pvlib", "sun", "pandas", "pvlib")

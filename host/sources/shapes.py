@@ -59,7 +59,7 @@ class Sky:
 
     Examples
     --------
-    >>> sky = Sky(lambda L: 1 + 1e7 * (L[..., 2] < -0.9999999), suns=[(0, 0, -1)])
+    >>> sky = sl.Sky(lambda L: 1 + 1e7 * (L[..., 2] < -0.9999999), suns=[(0, 0, -1)])
     """
 
     brightness: Brightness = 1.0
@@ -88,6 +88,14 @@ class Lamp:
 
     Directions towards a source are level or go upwards. Ground that is higher than a part of the lamp sees it
     below its level; :func:`render` leaves that light out, with a warning that says how much it is.
+
+    Examples
+    --------
+    >>> ball = sl.Lamp(center=(16, 16, -8), radius=2, brightness=10)
+    >>> panel = sl.Lamp(corner=(4, 4, -8), edges=((24, 0, 0), (0, 3, 0)))
+    >>> E = sl.render(sl.Scene(np.zeros((33, 33))), ball, quantity="irradiance").image
+    >>> round(float(E[16, 16] / np.pi), 3)  # below it, B (radius / distance)^2
+    0.625
     """
 
     center: tuple[float, float, float] | None = None
@@ -142,6 +150,13 @@ class Window:
     Either a rectangle, ``x`` = (x0, x1) and ``y`` = (y0, y1) [unit of spacing], half-open; or ``aperture``
     (rows, cols) bool, True where node's pixel is open. The surface lies behind the plane: at a node in it
     (depth 0) the light of a rectangle is not defined. Over a map that repeats, the window repeats with it.
+
+    Examples
+    --------
+    >>> slit = sl.Window(x=(4, 28), y=(15, 17), brightness=5.0)
+    >>> E = sl.render(sl.Scene(np.full((33, 33), 4.0), sides="dark"), slit, quantity="irradiance").image
+    >>> bool(E[16, 16] > E[2, 16])
+    True
     """
 
     x: tuple[float, float] | None = None
