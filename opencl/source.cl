@@ -127,7 +127,9 @@ int meets_lamp(__global const float *depth, int x, int y, double z, int i, int j
           return 0;
       }
       if (kind == VOLUME) {
-        const long nx = 2 * at[5] >= parts ? ex : cx, ny = 2 * at[5] >= parts ? ey : cy;
+        /* of two nodes as near, that farther along the ray: else a lamp is off to one side */
+        const int ahead = i * at[2] + j * at[3] > 0, is_far = ahead ? 2 * at[5] >= parts : 2 * at[5] > parts;
+        const long nx = is_far ? ex : cx, ny = is_far ? ey : cy;
         const long n = (long)floor((2 * (level * parts - when * k) + parts) / (2 * parts));
         if (n >= 0 && n < layers && nx >= 0 && nx < cols && ny >= 0 && ny < rows &&
             flags[((size_t)n * rows + ny) * cols + nx])

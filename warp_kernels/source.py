@@ -246,9 +246,13 @@ def meets_lamp(
                     ):
                         return False
             if kind == VOLUME:
+                # of two nodes as near, that farther along the ray: else a lamp is off to one side
                 nx = cx
                 ny = cy
-                if 2 * crossings[c, 5] >= crossings[c, 7]:
+                ahead = i * crossings[c, 2] + j * crossings[c, 3] > 0
+                if 2 * crossings[c, 5] > crossings[c, 7] or (
+                    ahead and 2 * crossings[c, 5] == crossings[c, 7]
+                ):
                     nx = ex
                     ny = ey
                 two = wp.float64(2.0)

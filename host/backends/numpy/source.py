@@ -145,7 +145,9 @@ def _meets_lamp(lamp: Lamp, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.n
         ground = near_weight * np.where(known, near, 0) + far_weight * np.where(known, far, 0)
         blocked = known & ~gone & (ground < over)
         if lamp.kind == VOLUME:
-            nx, ny = (ex, ey) if 2 * far_weight >= parts else (cx, cy)
+            # of two nodes as near, that farther along the ray: else a lamp is off to one side
+            ahead = lamp.i * next_x + lamp.j * next_y > 0
+            nx, ny = (ex, ey) if 2 * far_weight > parts or ahead and 2 * far_weight == parts else (cx, cy)
             n = (2 * (level[who] * parts - when * lamp.k) + parts) // (2 * parts)
             there = ~gone & ~blocked & _in_volume(lamp, nx, ny, n)
             lit[who[there]] = True
