@@ -63,7 +63,7 @@ class Sky:
     """
 
     brightness: Brightness = 1.0
-    suns: tuple[tuple[float, float, float], ...] = ()
+    suns: Sequence[Sequence[float]] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "brightness", checked(self.brightness))
@@ -98,12 +98,12 @@ class Lamp:
     0.625
     """
 
-    center: tuple[float, float, float] | None = None
+    center: Sequence[float] | None = None
     radius: float | None = None
     brightness: Brightness = 1.0
     volume: np.ndarray | None = None
-    corner: tuple[float, float, float] | None = None
-    edges: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    corner: Sequence[float] | None = None
+    edges: Sequence[Sequence[float]] | None = None
     # of a volume that was a DataArray; it stays where the lamp is replaced by one of another brightness
     _labels: Labels | None = field(default=None, repr=False, kw_only=True)
 
