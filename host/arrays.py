@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import importlib
 import math
@@ -489,3 +490,13 @@ def labelled(
     if labels.grid_mapping is not None:
         result.encoding["grid_mapping"] = labels.grid_mapping
     return result
+
+
+def short_repr(record: Any) -> str:
+    """That of a dataclass with arrays, which are told by their shape and type."""
+    shown = {field.name: getattr(record, field.name) for field in dataclasses.fields(record) if field.repr}
+    texts = (
+        f"{name}={value.shape} {value.dtype}" if hasattr(value, "dtype") else f"{name}={value!r}"
+        for name, value in shown.items()
+    )
+    return f"{type(record).__name__}({', '.join(texts)})"

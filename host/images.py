@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from . import sources
-from .arrays import Quantity, by_bands, labelled, multiply, scratch
+from .arrays import Quantity, by_bands, labelled, multiply, scratch, short_repr
 from .backends.resident import DeviceImage
 from .interreflection import Interreflection
 from .planning.plan import Plan
@@ -62,6 +62,8 @@ class Rendering:
     direct: np.ndarray | None = field(default=None, repr=False)
     reflected: np.ndarray | None = field(default=None, repr=False)
     _between: tuple[float, ...] = field(default=(0.0,), repr=False)
+
+    __repr__ = short_repr
 
     @cached_property
     def error(self) -> np.ndarray | None:

@@ -360,6 +360,15 @@ def test_bad_input_is_one_clear_error(call, parts):
     assert "\n" not in text and text.endswith((".", ".)")), text
 
 
+def test_results_show_shapes_and_no_numbers(fast):
+    """repr of a Recovery of 16 x 16 pixels had 31,000 characters."""
+    image = sl.render(sl.Scene(np.full((16, 16), 3.0)), sl.Sky(), backend=fast)
+    options = dict(layers=4, max_seconds=1e-6, interreflection=False, backend=fast)
+    found = sl.recover(image.image, sl.Sky(), **options)
+    for text, name in ((repr(image), "image"), (repr(found), "depth")):
+        assert f"{name}=(16, 16) float32, " in text and "array" not in text and "\n" not in text
+
+
 @pytest.mark.parametrize("name", ["numpi", "warp", "warp:gpu:0", "opencl:7:3", "cuda", "", "opencl:x"])
 def test_an_unknown_backend_is_an_error_that_names_the_nearest(name):
     """No named backend falls back to another; the message says why and which there are."""

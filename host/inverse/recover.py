@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import sources
-from ..arrays import Labels, Quantity, axes_of, labelled, labels_of, lies_on
+from ..arrays import Labels, Quantity, axes_of, labelled, labels_of, lies_on, short_repr
 from ..backends import select
 from ..backends.base import Backend, stopwatch, timed, within
 from ..checks import as_real, at, one_of, positive_number, real_array, whole_number
@@ -106,6 +106,8 @@ class Recovery:
     residual: np.ndarray | None = None
     levels: tuple[Level, ...] = ()
     interreflection: bool = False
+
+    __repr__ = short_repr
 
 
 def recover(
