@@ -138,9 +138,8 @@ def recover(
         Radiance [unit of brightness], finite, >= 0. Those of the same light count as one, their mean.
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
-        As in the scene that the image shows; ``albedo`` a number or (rows, cols), > 0; or None, of several
-        images: every pixel's is found with its depth. It exceeds 1 if images are in another unit than
-        brightness; "auto" then leaves light between surfaces out.
+        As in the scene; ``albedo`` a number or (rows, cols), > 0; or None, of several images: it is found with
+        depth, and exceeds 1 if images are in another unit than brightness; "auto" then takes direct light.
     layers : int
         The deepest depth in spacings, unless ``far`` is given; the lattice's depth.
     method : "robust" or "paper"
@@ -156,23 +155,24 @@ def recover(
         Then, or on Ctrl-C, "robust" takes the best surface so far, with a warning; its confidence may take as
         long again, unless Ctrl-C is pressed then. "paper" raises an error.
     interreflection : "auto", True or False
-        Of method="robust": whether ground lights ground in the images, as in photographs and in what
-        :func:`skylamp.render` makes by default. "auto": both are tried, and direct light alone is used if
-        its residual is less than a quarter of the other; std includes the other answer, where it explains
-        the images about as well. It is several times as fast: False if it suffices.
+        Of method="robust": whether ground lights ground in the images, as in photographs and by default in
+        those of :func:`skylamp.render`. "auto": both are tried, and direct light, which is several times as
+        fast, is used if its residual is less than a quarter of the other; std includes the other answer.
     mask : (rows, cols) bool array, or a list of such, one per image, optional
         Of method="robust": True where the image counts. Elsewhere, as at highlights or the background, it
         may hold anything, and depth goes on smoothly. Gaps of a DataArray (nan, _FillValue) never count.
     progress : callable, optional
         Called with (levels or layers done, their number, which may double). Logger "skylamp" gets residuals.
 
-    Returns a Recovery, or raises InputError, BackendError, CapacityError or OutOfTimeError.
+    Returns
+    -------
+    Recovery
+        Raises InputError, BackendError, CapacityError or OutOfTimeError.
 
     Examples
     --------
-    >>> found = sl.recover(np.full((8, 8), 0.5), sl.Sky(), 0.5, "dark", layers=8, interreflection=False)
-    >>> found.depth.shape, found.std.shape
-    ((8, 8), (8, 8))
+    >>> sl.recover(np.full((8, 8), 0.5), sl.Sky(), 0.5, "dark", layers=8).depth.shape
+    (8, 8)
     """
     one_of(method, RECOVER_METHODS, "method")
     one_of(stop, STOPS, "stop")
