@@ -138,8 +138,8 @@ def recover(
         Radiance [unit of brightness], finite, >= 0. Those of the same light count as one, their mean.
     source : Sky, Lamp or Window, or a list, one per image
     sides, spacing, albedo
-        As in the scene; ``albedo`` a number or (rows, cols), > 0; or None, of several images: it is found with
-        depth, and exceeds 1 if images are in another unit than brightness; "auto" then takes direct light.
+        As in the scene; ``albedo`` a number or (rows, cols), > 0; or None, of several images: found with the
+        depth, it exceeds 1 if images are in another unit than brightness; "auto" then takes direct light.
     layers : int
         The deepest depth in spacings, unless ``far`` is given; the lattice's depth.
     method : "robust" or "paper"
