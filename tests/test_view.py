@@ -214,15 +214,13 @@ def test_drag_change_click_and_save_in_a_browser(file, tmp_path):
             ActionChains(browser).move_to_element(slider).click().send_keys(Keys.ARROW_RIGHT).perform()
             until(lambda: refined() and picture().get_attribute("src") != second, "other heights")
             ActionChains(browser).move_to_element(picture()).click().perform()
-            plots = lambda: [
-                e for e in browser.find_elements(By.CSS_SELECTOR, ".q-img img") if e.is_displayed()
-            ]
+            # in one step, since the page replaces these elements
+            shown = "[...document.querySelectorAll('.q-img img')].filter(e => e.offsetParent).map(e => e.src)"
+            plots = lambda: browser.execute_script(f"return {shown}")
             until(plots, "the horizon of a node")
-            stale = plots()[0].get_attribute("src")
+            stale = plots()
             ActionChains(browser).move_to_element(slider).click().send_keys(Keys.ARROW_LEFT).perform()
-            until(
-                lambda: plots() and plots()[0].get_attribute("src") != stale, "its horizon over other heights"
-            )
+            until(lambda: set(plots()) - set(stale), "its horizon over other heights")
             until(refined, "the image of these")
             browser.find_element(By.CSS_SELECTOR, ".save").click()
             until((tmp_path / "skylamp.png").exists, "the saved image")
