@@ -69,9 +69,14 @@ def noisy_sky(number):
 
 def kept(blurred):
     """``blurred`` of one source, each table made once."""
-    return lambda source, *options, made={}: (  # noqa: B006, new for every source
-        made.get(options) or made.setdefault(options, blurred(source, *options))
-    )
+    made = {}
+
+    def table(source, *options):
+        if options not in made:
+            made[options] = blurred(source, *options)
+        return made[options]
+
+    return table
 
 
 def of_noise(backend, count):

@@ -53,6 +53,20 @@ def test_late_tasks_of_an_interrupted_run_write_nothing_into_the_next(job):
     assert out_of_core.scratch_of(other, resume=True).basename == again.basename
 
 
+def test_a_scratch_of_an_earlier_form_is_known(job):
+    """It had no runs: it begins anew, and --resume says why not; it was called another program's."""
+    out_of_core.scratch_of(job, resume=False)
+    group = zarr.open_group(job.scratch, mode="r+")
+    settings = {**json.loads(group.attrs["settings"]), "form": 3}
+    group = zarr.open_group(
+        job.scratch, mode="w", attributes={"skylamp": "", "settings": json.dumps(settings)}
+    )
+    group.create_array("done", shape=(6,), dtype="uint8")
+    with pytest.raises(InputError, match="--resume.*the scratch of form 3; allowed.*form 4"):
+        out_of_core.scratch_of(job, resume=True)
+    assert names(out_of_core.scratch_of(job, resume=False)) == ["done", "low", "low_done", "values"]
+
+
 def test_another_backend_does_not_go_on(job):
     """Its bytes may be others: "auto" is an OpenCL device here and a GPU there."""
     out_of_core.scratch_of(job._replace(backend="opencl:0:0"), resume=False)

@@ -460,7 +460,7 @@ def _attributes(scratch: Path) -> dict[str, Any]:
         return {}
     group = _group(scratch, "r+") if scratch.is_dir() else None
     attributes = {} if group is None else group.attrs.asdict()
-    if {"skylamp", "settings", "run"} <= attributes.keys():
+    if {"skylamp", "settings"} <= attributes.keys():
         return attributes
     names = [path.name for path in scratch.iterdir()] if scratch.is_dir() else ["a file"]
     # left by a process that was killed before the attributes were written, or by tasks that ended late

@@ -15,7 +15,7 @@ from ..io import geotiff as geo
 from ..reflectance import Lambertian, Mirror, Phong, Reflectance
 from ..scene import Scene
 from ..sources import Lamp, Sky, Source, Window, cie_overcast, environment_map
-from ..sources.cie import WITHOUT_SUN, cie_sky, sun_position
+from ..sources.cie import cie_sky, sun_position
 from .output import native_output_silenced
 
 CLEAR = 12  # the CIE's number of the clear sky
@@ -127,11 +127,8 @@ def source(
         x0, x1, y0, y1 = numbers(window, "--window", "X0,X1,Y0,Y1")
         return Window(x=(x0, x1), y=(y0, y1))
     if cie:
-        number, place = int(cie[1] or CLEAR), None if sun is None else _sun(sun, file)
-        if sun is None and (direct or number not in WITHOUT_SUN):
-            what = f"--source {kind}{' with --direct' if direct else ''}"
-            raise bad(what, "no sun", "with --sun AZ,EL or --sun TIME,LAT,LON")
-        return Sky(cie_sky(number, place, horizontal=horizontal, direct=direct))
+        place = None if sun is None else _sun(sun, file)
+        return Sky(cie_sky(int(cie[1] or CLEAR), place, horizontal=horizontal, direct=direct))
     return _sky(kind)
 
 

@@ -94,12 +94,14 @@ LOCKED = {"upload", "put", "empty", "fill", "download", "launch", "record", "fin
 
 
 def _locked(method: Callable[..., Any]) -> Callable[..., Any]:
+    is_launch = method.__name__ == "launch"
+
     @functools.wraps(method)
     def locked(self: Backend, *args: Any, **more: Any) -> Any:
         with self.lock:
             deadline.check()
             result = method(self, *args, **more)
-            if deadline.limited() and method.__name__ == "launch":
+            if is_launch and deadline.limited():
                 self.finish()  # else all are queued at once, and the time passes in the last transfer
             return result
 
