@@ -27,6 +27,7 @@ from __future__ import annotations
 import argparse
 import csv
 import datetime
+import itertools
 import math
 import os
 import platform
@@ -41,12 +42,14 @@ import surfaces
 from surfaces import ALBEDO, OTHERS, SURFACES, pair, rms, source_of
 
 import skylamp as sl
+from skylamp.inverse.pyramid import NORMAL_QUARTILE
 
 LIGHTS = ("sky", "sun", "lamp", "spot", "spot+sky")
 NOISES = ("noise 1", "noise 3", "8 bits")
 NAMES = (*SURFACES, *OTHERS)
 FAR, NEAR = 5, 2  # nodes: what is called wrong, and what right
 SHARES = 50  # of pixels that are left out
+CONFIDENCES = 0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 1.0  # of which it is told what is right
 
 
 def cases() -> list[tuple[int, str, str, str]]:
@@ -235,9 +238,35 @@ def summary(rows: list[dict], chosen: dict[str, dict[str, np.ndarray]]) -> list[
         )
     pool = {
         key: np.concatenate([np.ravel(one[key]) for one in chosen.values()])
-        for key in ("depth", "truth", "std")
+        for key in ("depth", "truth", "std", "confidence")
     }
-    lines.append(f"all pixels in one order: AUSE {ause(pool['depth'] - pool['truth'], pool['std']):.3f}")
+    error = pool["depth"] - pool["truth"]
+    lines.append(f"all pixels in one order: AUSE {ause(error, pool['std']):.3f}")
+    return [*lines, *by_surface(chosen), *by_confidence(np.abs(error), pool["std"], pool["confidence"])]
+
+
+def by_surface(chosen: dict[str, dict[str, np.ndarray]]) -> list[str]:
+    """Of all cases of a surface, the shares of its wrong and of its right pixels that are marked."""
+    lines = []
+    for surface in dict.fromkeys(name.split("_")[1] for name in chosen):
+        group = [one for name, one in chosen.items() if name.split("_")[1] == surface]
+        off = np.concatenate([np.ravel(np.abs(one["depth"] - one["truth"])) for one in group])
+        sure = np.concatenate([np.ravel(one["confidence"]) for one in group])
+        if (wrong := int((off > FAR).sum())) > 0:
+            shares = marked(sure, off > FAR), marked(sure, off < NEAR) or 0.0
+            lines.append(f"{surface}: of {wrong} wrong {shares[0]:.3f} marked, of the right {shares[1]:.3f}")
+    return lines
+
+
+def by_confidence(off: np.ndarray, std: np.ndarray, sure: np.ndarray) -> list[str]:
+    """Share of depths that are right, by confidence. The largest right error follows from it and from std."""
+    right = off < NORMAL_QUARTILE * std / np.sqrt(1 / np.clip(sure, 1e-9, 1 - 1e-9) - 1)
+    lines = []
+    for low, high in itertools.pairwise(CONFIDENCES):
+        within = (sure >= low) & (sure < high)
+        if within.any():
+            share, shown = within.mean(), right[within].mean()
+            lines.append(f"confidence {low:g} to {high:g}: {share:.3f} of all, {shown:.3f} right")
     return lines
 
 
