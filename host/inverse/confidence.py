@@ -35,8 +35,8 @@ from .resampling import blurred, distance_from, doubled, halved, halved_depth
 from .search import Rival
 
 # an error of depth up to this share of the range of depths, and at least so many nodes, counts as right; the
-# confidence is a cautious estimate of the probability of that. It is below 0.5 where the standard deviation is above 1.48
-# times this error
+# confidence is a cautious estimate of the probability of that. It is below 0.5 where the standard deviation
+# is above 1.48 times this error
 RIGHT, LEAST_RIGHT = 1 / 64, 1.0
 APART = 0.05  # least distance of a candidate from the depth, as a share of the range of depths
 CANDIDATES = 2  # most other depths of a pixel
@@ -162,8 +162,8 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
     (rows, cols) [nodes].
 
     Right is within RIGHT of the range of depths [nodes], or within LEAST_RIGHT if that is more. It is
-    1 / (1 + t^2), t the standard deviation over that of probability 1/2, if errors are normal. More depths are
-    right: where it is 0.5 to 0.7, 89 % (performance/doubt.py).
+    1 / (1 + t^2), t the standard deviation over that of probability 1/2, if errors are normal. More depths
+    are right: where it is 0.5 to 0.7, 89 % (performance/doubt.py).
     """
     half = max(RIGHT * depth_range, LEAST_RIGHT) / NORMAL_QUARTILE
     return 1 / (1 + (std / half) ** 2)
