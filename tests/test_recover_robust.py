@@ -1,5 +1,6 @@
 """recover(method="robust"): accurate, stable where carving is not, and honest about what it cannot know."""
 
+import contextlib
 import functools
 import importlib
 import itertools
@@ -1455,6 +1456,31 @@ def test_light_between_surfaces_is_told_from_direct_light(fast):
     assert rms(both.depth - depth) < 0.15 and rms(alone.depth - depth) > 1
     direct = ask(out.direct)
     assert not direct.interreflection and rms(direct.depth - depth) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("depths", "rounds", "mosaics"),
+    [((1.0, 1.01), 2, 0), ((1.0, 2.0, 1.0), 3, 1), ((1.0, 2.0, 3.0, 4.0, 5.0), 4, 1)],
+)
+def test_rounds_end_where_an_answer_is_found_again(monkeypatch, depths, rounds, mosaics):
+    """Four at most; a mosaic only of answers that differ."""
+    left, made = list(depths), []
+    monkeypatch.setattr(search, "bounced", lambda *_: None)
+    monkeypatch.setattr(search, "without", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(search, "on_coarser_grid", lambda z: z)
+    monkeypatch.setattr(search, "_of_mosaic", lambda *_: made.append(1) or Solution(np.zeros((2, 2)), 9.0))
+
+    def grid(settle):
+        pyramid = SimpleNamespace(set_prior=lambda *_: None, problem=lambda _: None)
+        return SimpleNamespace(
+            pyramid=pyramid, multigrid=SimpleNamespace(settle=settle), check_time=lambda: None
+        )
+
+    direct = grid(lambda _, z: Solution(z, 0.0))
+    between = grid(lambda _, z: Solution(np.full((2, 2), depth := left.pop(0)), -depth))
+    best = search._after_rounds(between, direct, 0, np.zeros((2, 2)), [], 4)
+    assert (len(depths) - len(left), len(made)) == (rounds, mosaics)
+    assert best.depth[0, 0] == max(depths[:rounds])
 
 
 @pytest.mark.slow

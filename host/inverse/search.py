@@ -251,16 +251,21 @@ def start_direct(search: Search) -> None:
 def _after_rounds(
     search: Search, direct: Search, level: int, z: np.ndarray, answers: list[Solution], rounds: int
 ) -> Solution:
-    """The best of these answers, of those after each round from z, and of the mosaic of all."""
-    answers = list(answers)
-    for _ in range(rounds):
+    """The best of these answers, of those after each round from z, and of the mosaic of all that differ.
+    Rounds end with an answer that was found before.
+    """
+    answers, again = list(answers), False
+    while rounds and not again:
         direct.pyramid.set_prior(level, on_coarser_grid(z))
         with without(direct.pyramid, bounced(search.pyramid.problem(level), z), level):
             z = direct.multigrid.settle(level, z).depth
         search.pyramid.set_prior(level, on_coarser_grid(z))
-        answers.append(search.multigrid.settle(level, z))
+        answer = search.multigrid.settle(level, z)
         search.check_time()
-    answers.append(_of_mosaic(search, level, answers))
+        rounds, again = rounds - 1, _is_among(answers, answer)
+        answers.append(answer)
+    if len(answers) > 1 + again:
+        answers.append(_of_mosaic(search, level, answers))
     return _best(answers)
 
 
@@ -283,7 +288,7 @@ def start_shallower(search: Search) -> None:
     for share in CONFINED:
         other = _confined(search, float(np.quantile(search.answers[0].depth, share)))
         search.check_time()
-        if all(np.sqrt(np.mean((other.depth - answer.depth) ** 2)) > ALIKE for answer in search.answers):
+        if not _is_among(search.answers, other):
             search.answers.append(other)
 
 
@@ -395,3 +400,8 @@ STAGES_BETWEEN: tuple[Callable[[Search], None], ...] = (start_direct, start_mirr
 
 def _best(answers: list[Solution]) -> Solution:
     return min(answers, key=lambda answer: answer.objective)
+
+
+def _is_among(answers: list[Solution], other: Solution) -> bool:
+    """Whether it is about the surface of one of these answers."""
+    return any(np.sqrt(np.mean((other.depth - answer.depth) ** 2)) <= ALIKE for answer in answers)
