@@ -389,6 +389,7 @@ def device_image():
     return resident.DeviceImage(engine, engine.upload(DEPTH.ravel()), DEPTH.shape)
 
 
+@pytest.mark.slow
 def test_an_exported_image_outlives_its_result():
     """The array that another library made of it holds the memory."""
     image = device_image()

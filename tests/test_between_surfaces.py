@@ -308,6 +308,7 @@ def hole(size, at, side=3, deep=12.0):
     return depth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["sky", "lamp"])
 def test_light_in_a_hole_in_a_plain(fast, source):
     """Nine of 16,384 nodes, which no sample of a plan meets: 1.6 % were left out at 1 and 0.3 %, or the
@@ -350,6 +351,7 @@ def test_a_colour_without_light_decides_nothing(fast):
         assert not ask(scene, sl.Sky(black)).image.any()
 
 
+@pytest.mark.slow
 def test_a_thin_bright_wall_on_dark_ground(fast):
     """Nodes on its crest look up, and the dark ground sends nothing: 8 % were left out at 1 %."""
     x = np.arange(36)

@@ -110,6 +110,7 @@ def test_all_light_is_the_truth_of_the_bright_panel(fast):
     assert 0.1 < error("horizon", 64) < 0.3 and error("plan", 0.01) < 0.01
 
 
+@pytest.mark.slow
 def test_the_inverse_has_axes_of_its_own(tmp_path):
     """Its points are drawn whatever the size of the other maps; the best eps of the paper's is filled."""
     row = {"class": "smooth", "size": 512, "backend": "opencl", "method": "horizon", "units": 8, "best": 0}

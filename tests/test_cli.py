@@ -108,6 +108,7 @@ def test_render_writes_what_the_library_renders(here, capsys):
     assert "a.npy: 13 x 15 by numpy" in err
 
 
+@pytest.mark.slow
 def test_a_fixed_cost_and_a_tail(here, capsys):
     """--azimuths and --max-distance are those of sl.render, and --tail refines."""
     scene, sky = sl.Scene(BOWL, albedo=0.5), sl.Sky(sl.cie_overcast())
@@ -151,6 +152,7 @@ def test_stride_and_filled_differ(here, capsys):
         )
 
 
+@pytest.mark.slow
 def test_height_is_depth_upside_down(here, capsys):
     """--height gives the picture that the depth map gives."""
     assert run(capsys, "render", "depth.npy", "--out", "a.npy", "--backend", "numpy")[0] == 0
@@ -162,6 +164,7 @@ def test_height_is_depth_upside_down(here, capsys):
         np.testing.assert_allclose(io.read(out), io.read("a.npy"), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_light_between_surfaces(here, capsys):
     """--interreflection off is direct light, on and auto are brighter in a bowl; another word is an error."""
     images = []
@@ -175,6 +178,7 @@ def test_light_between_surfaces(here, capsys):
     assert run(capsys, "render", "depth.npy", *taken)[0] == 2
 
 
+@pytest.mark.slow
 def test_sources(here, capsys):
     """Lamp, window and environment map, and that --lamp alone means a lamp."""
     environment = np.random.default_rng(3).random((6, 12), dtype=np.float32)
@@ -208,6 +212,7 @@ def test_sources(here, capsys):
     assert len({p.tobytes() for p in pictures}) == len(pictures)
 
 
+@pytest.mark.slow
 def test_json_is_one_object_on_stdout(here, capsys):
     """Machine-readable, alone on stdout, with the scale of a PNG."""
     code, out, err = run(capsys, "render", "depth.npy", "--out", "a.png", "--json", "--backend", "numpy")
@@ -238,6 +243,7 @@ def test_json_is_one_object_on_stdout(here, capsys):
     )
 
 
+@pytest.mark.slow
 def test_nodata(here, capsys):
     """NaN is an error until it is named as no data; so is any number."""
     holes = BOWL.astype(np.float32)
@@ -535,6 +541,7 @@ def test_completion_is_offered():
     assert done.stdout.split() == ["--method"], done
 
 
+@pytest.mark.slow
 def test_output_comes_second_or_by_name(here, capsys):
     """INPUT OUTPUT as in gdal and rio; --quiet leaves warnings and errors alone."""
     for command, file in (("render", "depth.npy"), ("horizon", "depth.npy"), ("field", "depth.npy")):

@@ -241,6 +241,7 @@ def test_sweeps_take_the_higher_of_near_and_far(backend):
     assert np.median(np.abs(light - expected)) < 1e-6
 
 
+@pytest.mark.slow
 def test_near_windows_keep_to_what_is_known_from_far(backend):
     """With a reach, too, sweeps by windows never go below the far slopes."""
     engine, heights = select(backend), ridges(96, 96)

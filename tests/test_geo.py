@@ -622,6 +622,7 @@ def test_truncated_and_damaged(tmp_path, options):
             assert "a.tif" in str(error)
 
 
+@pytest.mark.slow
 def test_command_line_stays_one_line(tmp_path):
     """GDAL and rasterio log by themselves; a process says one line."""
     path = make(tmp_path / "a.tif")

@@ -65,6 +65,7 @@ def test_a_spike_is_seen_where_it_stands(backend, spacing):
             assert slopes[azimuth, 15 + dy * distance, 15 + dx * distance] <= 0
 
 
+@pytest.mark.slow
 def test_max_distance_ends_what_counts(backend):
     east = sl.Azimuths(1, (-np.pi, np.pi))
     for reach, seen in ((8.0, False), (8.99, False), (9.0, True), (30.0, True)):

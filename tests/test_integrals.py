@@ -401,6 +401,7 @@ def test_tables_hold_integrals():
     assert not table[:, -1].any()
 
 
+@pytest.mark.slow
 def test_a_map_is_its_function():
     """Integrals of the pixels against those of the same map as a function of directions, sector by sector."""
     image = np.random.default_rng(3).random((64, 128)) + 0.2
@@ -647,6 +648,7 @@ def test_the_light_of_an_unseen_sun_is_no_level_of_the_lattice(fast):
         assert any(text.startswith("Uneven sky") for text in out.warnings)
 
 
+@pytest.mark.slow
 def test_a_band_at_the_horizon_over_gentle_slopes():
     """Horizons lie within rows of cells, where light above them is the integral of sin cos, not a straight
     line: a band 0.2 degrees high was 4 % too dark.

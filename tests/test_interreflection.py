@@ -118,6 +118,7 @@ def test_rounds_come_to_the_oracles_light(fast):
     assert error(found.irradiance()[0]) < 0.01 < 0.1 < error(direct)
 
 
+@pytest.mark.slow
 def test_planes_that_rounding_bends(backend):
     """Two slanted planes that meet: crossings of one height but for rounding; light is finite and bounded."""
     y, x = np.mgrid[:24, :40]

@@ -263,6 +263,7 @@ def _crossed(depth, x, y, step):
     return False
 
 
+@pytest.mark.slow
 def test_filled_visibility_looks_at_every_crossing():
     """Against crossings in exact fractions, on a map that is taller than wide."""
     depth = np.random.default_rng(12).integers(0, 7, (9, 6))

@@ -41,6 +41,7 @@ def on_slopes(image, normals):
     )
 
 
+@pytest.mark.slow
 def test_a_sum_is_that_of_its_skies():
     """CIE types that change from time to time, measured light, uneven hours: plane by plane, sky by sky."""
     rng = np.random.default_rng(1)

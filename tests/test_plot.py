@@ -30,6 +30,7 @@ def discs(figure):
     return [patch for patch in figure.axes[0].patches if isinstance(patch, Circle)]
 
 
+@pytest.mark.slow
 def test_discs_show_the_field(valley, fast):
     """Discs stand in free space; the white share of each is the share of angle that sees the lamp."""
     figure = plot.field(valley, row=15, every=6, backend=fast)

@@ -60,6 +60,7 @@ def test_scaling_by_a_power_of_two_changes_nothing(backend, depth, sides, filled
     )
 
 
+@pytest.mark.slow
 @given(depth=WHOLE, sides=SIDES, filled=st.booleans())
 def test_transposed_maps_see_transposed_directions(backend, depth, sides, filled):
     """Rows and columns are treated alike by every walk, with and without filling."""

@@ -123,6 +123,7 @@ def test_recovery_with_an_albedo_map_and_spacing_equals_the_oracle(backend, eps)
     assert any("Drilled" in w and "stop='sign'" in w for w in got.warnings) == (eps < 0.1)
 
 
+@pytest.mark.slow
 def test_drilled_columns_are_named_and_the_sign_drills_fewer(backend):
     """With a narrow eps most columns never match; the stop at the sign change is monotone."""
     image = _image("sky", "dark")
@@ -170,6 +171,7 @@ def test_carving_has_a_residual_of_zero_and_no_albedo(backend):
     assert got.albedo is None
 
 
+@pytest.mark.slow
 def test_progress_counts_layers_and_a_second_run_is_the_same(backend):
     """Called once per layer with the total; the image is not changed."""
     image = _image("window", "dark").copy()

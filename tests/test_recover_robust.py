@@ -266,6 +266,7 @@ def test_the_std_knows_that_open_sides_hide_the_place_under_a_sky(fast):
     assert np.median(known.std) < 0.4 * np.median(done.std)
 
 
+@pytest.mark.slow
 def test_std_has_the_unit_of_spacing_and_confidence_has_none(fast):
     """The same image of a map three times as large: three times the std, the same confidence."""
     image, one = pair("face", "sky")[1], found("face", "sky", fast)
@@ -410,6 +411,7 @@ def test_stable_where_carving_is_not(fast, what, most, carving):
     assert _amplification(again, image, other, clean) > carving
 
 
+@pytest.mark.slow
 def test_nothing_is_drilled(fast):
     """No column comes near the far boundary, which carving reaches."""
     assert found("bumps", "sky", fast).depth.max() < 24 and not found("bumps", "sky", fast).drilled.any()
@@ -765,6 +767,7 @@ def test_how_surfaces_move_while_the_images_stay_the_same(lights, fast):
     assert alike < 0.1 * evenly
 
 
+@pytest.mark.slow
 def test_where_lights_fix_the_place():
     """Where the line through them meets the map; and three lights, two of a known albedo, walls."""
     beside, above = sl.Lamp((-20.0, 10.0, -16.0), 3.0), sl.Lamp((10.0, 10.0, -16.0), 3.0)
@@ -903,6 +906,7 @@ def test_what_does_not_count_changes_nothing(fast):
     assert rms(sl.recover(shiny, sl.Sky(), backend=fast, **MASKED).depth - depth) > 1
 
 
+@pytest.mark.slow
 def test_a_mask_that_leaves_nothing_out_is_no_mask(fast):
     _, image, mask = _in_a_box("bumps", (12, 20, 0))
     with_mask, without = (
@@ -1136,6 +1140,7 @@ def test_doubt_under_rectangles(fast, source, narrow):
         assert np.mean(np.array(off) < 1) > 0.5 and np.mean(np.array(off) < 2) > 0.8
 
 
+@pytest.mark.slow
 def test_time_is_kept_and_the_best_so_far_is_given(fast, monkeypatch):
     """A millionth of a second: a whole map, a warning, no error, and not all flat surfaces are tried."""
     depth, image = pair("bumps", "sky")
@@ -1381,6 +1386,7 @@ def test_an_interrupted_cycle_leaves_the_targets_as_they_were(fast):
         np.testing.assert_array_equal(target, pyramid.images[level][0].astype(np.float32))
 
 
+@pytest.mark.slow
 def test_levels_and_their_residuals(fast, caplog):
     """Every grid is told of, coarse to fine, with its residual, in the result and to the log; what the
     residual says is true.

@@ -465,6 +465,7 @@ def test_suns_over_ground_that_hides_them(fast, name, discs):
         ), out.plan.steps  # shadows of walls: a share that no azimuths mend
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuth,elevation,tolerance", [(193.3632346, 5.2512849, 0.003), (300, 1, 0.01)])
 def test_a_low_sun_behind_sharp_crests(fast, azimuth, elevation, tolerance):
     """Dunes without a cliff: a sweep lights a few of the nodes that no sun reaches, which the samples lie
@@ -826,6 +827,7 @@ def test_a_wall_along_a_thin_panel_hides_half_of_its_width(fast):
     assert math.sqrt(np.mean((out.image[28] - exact) ** 2) / 64) <= 0.01 * out.image.mean()
 
 
+@pytest.mark.slow
 def test_a_beam_through_a_slit_that_every_node_sees(fast):
     """The sun's light falls on few nodes of a tilted plane, beside all samples that choose the method."""
     s, r = towards(70, 25), np.radians(0.3)
@@ -1190,6 +1192,7 @@ def test_what_cannot_be_worked_off_is_an_error(fast):
         render(sl.Scene(1e9 * SCENES["periodic"].depth, sides="periodic"), sl.Sky(), backend=fast)
 
 
+@pytest.mark.slow
 def test_the_audit_tells_what_halves_share(fast, monkeypatch):
     """An image that is off in both halves alike is found out by the samples, and said so."""
     before = horizon._scaled
@@ -1377,6 +1380,7 @@ def test_a_map_on_a_device_obeys_the_tolerance(name, source):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rough", "houses", "flat", "dome"])
 def test_a_map_on_a_device_is_not_fetched(monkeypatch, name):
     """Under a uniform sky: planned, rendered and judged there."""
@@ -1520,6 +1524,7 @@ def test_a_plan_tells_the_light_between_surfaces_in_a_bowl(fast):
     assert line.taken == "included" and f"{100 * made.interreflection:.2g} %" in line.why
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "periodic"])
 def test_a_sun_behind_an_aperture_has_all_its_light(fast, sides):
     """It fell between the directions of the lattice, and of the light that judges it: two thirds of all light
@@ -1701,6 +1706,7 @@ def test_where_nothing_is_lit_the_error_is_a_number(fast):
     assert np.isfinite(out.error).all() and np.isfinite(out.image).all()
 
 
+@pytest.mark.slow
 def test_light_where_exact_rays_find_none_is_warned_of(fast):
     """A shaft a million times as deep as it is wide: no estimate is nan, which passes every tolerance."""
     sky = sl.Window((-1e9, 1e9), (-1e9, 1e9), brightness=lambda L: np.stack([1 - L[..., 2]] * 3, -1))

@@ -367,6 +367,7 @@ def test_the_sun_in_a_lobe(fast):
         np.testing.assert_allclose(image, np.full(image.shape, wanted), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_lobe_as_wide_as_the_sky_is_a_matt_surface(fast):
     """Exponent 0, level ground, a sky of noise: at a tolerance of 0.3 % the error was 1.1 %, since two images
     happened to be alike.

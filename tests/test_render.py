@@ -316,6 +316,7 @@ def test_a_volume_shines_alike_to_all_sides(backend):
         np.testing.assert_allclose(image, other, atol=2e-6 * image.mean())
 
 
+@pytest.mark.slow
 def test_filled_steps_that_pass_a_thin_volume_are_named(fast):
     """A plate one node thick loses a quarter of its light at M = 33."""
     light, warned = {}, {}
@@ -428,6 +429,7 @@ def test_an_environment_map_has_the_zenith_above_and_column_zero_in_the_east():
     assert sl.environment_map([[3.0]])(UNIT).tolist() == [3.0] * 5
 
 
+@pytest.mark.slow
 def test_an_environment_map_lights_the_slope_that_faces_it(backend):
     """Light from +x only: depth grows towards +x where the ground faces it; +y for columns 1 of 4."""
     image = np.zeros((4, 4))

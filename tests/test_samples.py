@@ -36,6 +36,7 @@ def test_samples_see_the_oracles_horizons(backend, name):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [HIGH, LOW, PANEL, WINDOW], ids=["ball", "low spot", "panel", "window"])
 def test_samples_see_lamps_as_shadow_rays_do(fast, source):
     """Slices through a source against 4096 rays a node, and never a node that is masked."""
@@ -47,6 +48,7 @@ def test_samples_see_lamps_as_shadow_rays_do(fast, source):
         assert errors(found, wanted).rms < 0.005 and (wanted > 0).mean() > 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", ["open", "dark"])
 def test_samples_see_suns_as_images_do(fast, sides):
     """Small bright parts in sectors agree with the kernel at the same nodes, also through a window."""

@@ -250,6 +250,7 @@ def test_no_data_is_nan_and_casts_no_shadow(dem, fast):
     assert np.isnan(empty.compute(scheduler="sync")).all()
 
 
+@pytest.mark.slow
 def test_a_map_that_repeats_in_tiles(fast):
     """Tiles at the border see what comes round, near what the whole map gives."""
     heights = mountains(256, 256, 40)
@@ -318,6 +319,7 @@ def test_zarr_takes_the_result_as_it_is(dem, fast, tmp_path):
     assert_bits_equal(kept.values, found.compute().values)
 
 
+@pytest.mark.slow
 def test_horizons_are_computed_a_few_azimuths_at_a_time(dem, fast, monkeypatch):
     """Where all would not be held at once; the bytes stay."""
     scene = sl.Scene.from_height(dem.chunk(y=100))
@@ -393,6 +395,7 @@ def test_skies_are_rendered_in_tiles(dem, fast, sky, limit):
     assert lazy.image.dtype == np.float32
 
 
+@pytest.mark.slow
 def test_albedo_and_irradiance_of_tiles(dem, fast):
     """Radiance is albedo E / pi, in colour where the albedo is."""
     options = dict(backend=fast, azimuths=8, tiling=SMALL)
@@ -494,6 +497,7 @@ def test_shadows_of_far_ground_along_the_border(fast):
     assert off[6:-6].mean() == 0 < off.mean()
 
 
+@pytest.mark.slow
 def test_a_low_sun_behind_sharp_crests_in_tiles(fast):
     """Within 6 near rows sweeps lit what it does not reach: 2 tolerances, told; the sun has 96."""
     y, x = np.mgrid[:128, :256].astype(float)
@@ -871,6 +875,7 @@ def test_rare_ground_decides_on_light_between_surfaces(fast):
     assert found.share == pytest.approx(whole.share, rel=0.2)
 
 
+@pytest.mark.slow
 def test_an_islet_that_no_sample_meets(fast):
     """A tile of one node among tiles without gaps renders as any other, at every albedo."""
     y, x = np.mgrid[:130, :130]
@@ -905,6 +910,7 @@ def test_what_is_not_seen_is_no_error(fast, options):
         svf(heights, fast, tiling, **options)
 
 
+@pytest.mark.slow
 def test_the_round_earth_falls_off_below_the_horizon(fast):
     """Seen from the nadir, level ground falls off: by the angle to its farthest node."""
     tiling, level = sl.Tiling(64, 16, 8, earth=1e3), sl.Scene.from_height(np.zeros((64, 512), np.float32))

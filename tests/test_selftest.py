@@ -87,6 +87,7 @@ WRONG = {  # a result that is wrong by so little, and the check that tells
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_result_is_told(name, fast, monkeypatch):
     """A right one passes, one that is slightly wrong does not."""

@@ -321,6 +321,7 @@ def test_a_small_lamp_shines_with_the_brightness_of_its_direction(backend):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuths", [64, 128, None])
 def test_a_small_sun_through_a_window_is_whole_in_as_many_slices_as_asked(backend, azimuths):
     """Slices alone met or missed it: 0 to 7 times its light."""
@@ -334,6 +335,7 @@ def test_a_small_sun_through_a_window_is_whole_in_as_many_slices_as_asked(backen
     assert not image[40:].any()
 
 
+@pytest.mark.slow
 def test_the_brightness_of_a_window(backend):
     """B = 1 / cosine gives the solid angle."""
     depth = np.full((13, 17), 9.0)
@@ -883,6 +885,7 @@ def test_suns_are_found_wherever_they_stand():
     assert Integrals(sl.Sky(sl.cie_overcast())).bright_parts == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how", [{"tolerance": 0.01}, {"method": "horizon"}, {"method": "unoccluded"}], ids=str
 )

@@ -262,6 +262,7 @@ def test_the_whole_real_terrain_is_the_same_everywhere(backend, fast):
     assert_bits_equal(sl.visibility(scene, SKY, 5, backend), sl.visibility(scene, SKY, 5, fast))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 def test_metres_are_layers_where_depths_are_whole_layers(backend, sides):
     """Another spacing, whole layers: the bits of layers, by both algorithms, for sky, window and lamp."""
@@ -440,6 +441,7 @@ def _field_truth(name, size, sides, layers):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", scenes.SIDES)
 @pytest.mark.parametrize("name", ["spikes", "masked", "tiny"])
 def test_every_node_of_the_field_equals_the_oracle(backend, name, sides):
@@ -524,6 +526,7 @@ def test_a_volume_far_above_the_ground_is_too_much_work(fast):
         sl.visibility(sl.Scene(np.full((3, 4), 1e7)), lamp, 3, fast)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power, says", [(3, False), (4000, True)])
 def test_a_sky_whose_light_lies_between_directions_is_told(fast, power, says):
     """A narrow spot, with the share of its light that level ground gets; a wide one is as it should be."""

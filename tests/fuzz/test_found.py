@@ -166,6 +166,7 @@ def test_a_window_on_a_single_node_is_not_called_small(fast):
     assert not any(text.startswith("Small") for text in result.warnings)
 
 
+@pytest.mark.slow
 def test_an_image_far_darker_than_its_source_is_answered(fast):
     """By 27 decades: the square of what the model leaves was infinite."""
     image = np.random.default_rng(1).uniform(0, 15, (6, 10)).astype(np.float32)

@@ -17,6 +17,7 @@ def holds(name, backend, count):
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", relations.RELATIONS)
 def test_relations_hold_of_a_few_cases(fast, name):
     """On one backend."""
