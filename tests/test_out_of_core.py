@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -341,6 +342,34 @@ def test_a_cog_that_is_not_finished_leaves_nothing(dem, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         out_of_core.write(str(tmp_path / "out.tif"), maps, geo.header(dem[0]), True)
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("cog", [False, True])
+@pytest.mark.parametrize("most", [0.99, 0.6])
+def test_a_full_disk_is_an_error_and_keeps_the_file_before(dem, tmp_path, cog, most):
+    """As files of at most so many bytes: GDAL said so on stderr alone, and the tiles were gone."""
+    maps = zarr.array(np.random.default_rng(0).random((1, 600, 768), np.float32), chunks=(1, 512, 512))
+    out, header = tmp_path / "out.tif", geo.header(dem[0])
+    out_of_core.write(str(out), maps, header, cog)
+    before, (soft, hard) = out.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    told = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(most * len(before)), hard))
+    try:
+        with pytest.raises(OSError, match="out.tif: what was written cannot be read; the disk may be full"):
+            out_of_core.write(str(out), maps, header, cog)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, told)
+    assert os.listdir(tmp_path) == ["out.tif"] and out.read_bytes() == before
+
+
+def test_what_a_killed_run_left_of_its_file_is_removed(dem, tmp_path):
+    """By the next run; names were random, and such files stayed."""
+    maps = zarr.array(np.zeros((1, 600, 768), np.float32), chunks=(1, 512, 512))
+    for name in (".plain", "", ".ovr.tmp"):
+        (tmp_path / f"out.tif.scratch.tmp{name}").write_bytes(b"left")
+    out_of_core.write(str(tmp_path / "out.tif"), maps, geo.header(dem[0]), False)
+    assert os.listdir(tmp_path) == ["out.tif"]
 
 
 @pytest.mark.parametrize("workers", [1, 3])

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import hashlib
 import importlib
 import json
 import logging
+import os
 import secrets
 import shutil
 import signal
@@ -30,7 +32,7 @@ from ..backends import select
 from ..errors import CapacityError, InputError, bad, import_extra
 from ..horizon import mean_openness, sky_view
 from ..io import geotiff as geo
-from ..io.paths import replacing_file
+from ..io.paths import destination
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
 from ..render_options import sectors_of
@@ -554,41 +556,81 @@ def _be_silent() -> None:
 def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
     """Write a Zarr array (bands, rows, cols) as a GeoTIFF, by blocks of rows.
 
-    ``cog``: one for the cloud, with overviews.
+    ``cog``: one for the cloud, with overviews. Raises OSError where the disk is full.
     """
     rasterio = importlib.import_module("rasterio")
-    importlib.import_module("rasterio.shutil")
+    copy = importlib.import_module("rasterio.shutil").copy
+    failures = rasterio.errors.RasterioError, importlib.import_module("rasterio._err").CPLE_BaseError
+    with _replaced(destination(Path(out)).resolve()) as path:
+        try:
+            plain = path.with_name(path.name + ".plain") if cog else path
+            _write_plain(plain, maps, header)
+            if cog:
+                options = dict(
+                    compress="ZSTD", predictor="YES", bigtiff="IF_SAFER", overview_resampling="AVERAGE"
+                )
+                copy(plain, path, driver="COG", **options)
+            _read_back(path)
+        except failures as error:
+            raise OSError(
+                f"{out}: what was written cannot be read; the disk may be full ({error})"
+            ) from error
+
+
+@contextlib.contextmanager
+def _replaced(path: Path) -> Iterator[Path]:
+    """A path that becomes ``path`` when the block ends well. Its name tells the next run, whose lock lets no
+    other one write, what a run that was killed has left.
+    """
+    temporary = path.with_name(path.name + ".scratch.tmp")
+
+    def remove() -> None:
+        for left in path.parent.glob(glob.escape(temporary.name) + "*"):
+            left.unlink(missing_ok=True)
+
+    remove()
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        remove()
+
+
+def _write_plain(path: Path, maps: Any, header: geo.Raster) -> None:
+    rasterio = importlib.import_module("rasterio")
     bands, rows, cols = maps.shape
-    with replacing_file(out) as path, contextlib.ExitStack() as after:
-        plain = path.with_suffix(".plain") if cog else path
-        if cog:
-            after.callback(plain.unlink, missing_ok=True)
-        with rasterio.open(
-            plain,
-            "w",
-            driver="GTiff",
-            width=cols,
-            height=rows,
-            count=bands,
-            dtype="float32",
-            crs=header.crs,
-            transform=header.transform,
-            nodata=np.nan,
-            compress="zstd",
-            predictor=3,
-            tiled=True,
-            blockxsize=TIFF_BLOCK,
-            blockysize=TIFF_BLOCK,
-            bigtiff="if_safer",
-            num_threads="all_cpus",
-        ) as file:
-            file.update_tags(AREA_OR_POINT="Point" if header.point else "Area")
-            step = maps.chunks[1]
-            for row in range(0, rows, step):
-                part = maps[:, row : row + step]
-                file.write(part, window=((row, row + part.shape[1]), (0, cols)))
-        if cog:
-            options = dict(
-                compress="ZSTD", predictor="YES", bigtiff="IF_SAFER", overview_resampling="AVERAGE"
-            )
-            rasterio.shutil.copy(plain, path, driver="COG", **options)
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=cols,
+        height=rows,
+        count=bands,
+        dtype="float32",
+        crs=header.crs,
+        transform=header.transform,
+        nodata=np.nan,
+        compress="zstd",
+        predictor=3,
+        tiled=True,
+        blockxsize=TIFF_BLOCK,
+        blockysize=TIFF_BLOCK,
+        bigtiff="if_safer",
+        num_threads="all_cpus",
+    ) as file:
+        file.update_tags(AREA_OR_POINT="Point" if header.point else "Area")
+        step = maps.chunks[1]
+        for row in range(0, rows, step):
+            part = maps[:, row : row + step]
+            file.write(part, window=((row, row + part.shape[1]), (0, cols)))
+
+
+def _read_back(path: Path) -> None:
+    """Read all blocks and overviews: neither GDAL's threads nor closing a file tell that the disk is full."""
+    rasterio = importlib.import_module("rasterio")
+    with rasterio.open(path) as file:
+        levels = len(file.overviews(1))
+    for level in ({}, *({"overview_level": level} for level in range(levels))):
+        with rasterio.open(path, num_threads="all_cpus", **level) as file:
+            for row in range(0, file.height, TIFF_BLOCK):
+                file.read(window=((row, min(row + TIFF_BLOCK, file.height)), (0, file.width)))
