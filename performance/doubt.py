@@ -49,7 +49,7 @@ NOISES = ("noise 1", "noise 3", "8 bits")
 NAMES = (*SURFACES, *OTHERS)
 FAR, NEAR = 5, 2  # nodes: what is called wrong, and what right
 SHARES = 50  # of pixels that are left out
-CONFIDENCES = 0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 1.0  # of which it is told what is right
+CONFIDENCES = 0.0, 0.1, 0.3, 0.5, 0.7, 0.9, math.inf  # between which it is told what share is right
 
 
 def cases() -> list[tuple[int, str, str, str]]:

@@ -255,7 +255,7 @@ def test_command_line(tmp_path, capsys, fast):
         )
     for code, says, options in (
         (3, "got no sun", ("--source", "clear")),
-        (3, "--sun of the command line", ("--source", "clear")),
+        (3, "Give --sun AZ,EL or --sun TIME,LAT,LON.", ("--source", "clear")),
         (3, "from 1 to 15", ("--source", "cie16", "--sun", "1,2")),
         (2, "AZ,EL", ("--source", "clear", "--sun", "1")),
         (2, "clear or cie1 to cie15", ("--source", "overcast", "--sun", "1,2")),

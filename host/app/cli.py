@@ -646,6 +646,7 @@ def view(
 
 # what the errors of the library advise, as the command line has it
 ADVICE = {
+    "sun_position gives it from time and place.": "Give --sun AZ,EL or --sun TIME,LAT,LON.",
     "For terrain heights use Scene.from_height.": "For terrain heights give --height.",
     "Pass mask=numpy.isfinite(height) to leave them out.": "Give --nodata nan to leave them out.",
     "Pass mask=numpy.isfinite(depth) to leave them out.": "Give --nodata nan to leave them out.",

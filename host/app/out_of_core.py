@@ -13,7 +13,6 @@ import hashlib
 import importlib
 import json
 import logging
-import os
 import secrets
 import shutil
 import signal
@@ -32,7 +31,7 @@ from ..backends import select
 from ..errors import CapacityError, InputError, bad, import_extra
 from ..horizon import mean_openness, sky_view
 from ..io import geotiff as geo
-from ..io.paths import destination
+from ..io.paths import replacing_file
 from ..light.far import Tiling, Top, coarser, from_heights, top_of
 from ..reflectance import Reflectance
 from ..render_options import sectors_of
@@ -59,6 +58,9 @@ ANY_PORT = "127.0.0.1:0"
 WAIT = 30  # [s] for a scheduler, and for its first worker; chosen: Dask's own default
 TIFF_BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 RUN = "run-"  # begin of the name of the arrays of a run in its scratch
+# end of the name of the file that is being written: by it the next run, the only one by its lock, knows what
+# a killed run has left
+UNFINISHED = ".scratch.tmp"
 SCRATCH_FORM = 4  # number of the scratch group's form: one more with every change of its arrays
 
 
@@ -561,7 +563,7 @@ def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
     rasterio = importlib.import_module("rasterio")
     copy = importlib.import_module("rasterio.shutil").copy
     failures = rasterio.errors.RasterioError, importlib.import_module("rasterio._err").CPLE_BaseError
-    with _replaced(destination(Path(out)).resolve()) as path:
+    with _none_left(out), replacing_file(out, UNFINISHED) as path:
         try:
             plain = path.with_name(path.name + ".plain") if cog else path
             _write_plain(plain, maps, header)
@@ -578,25 +580,23 @@ def write(out: str, maps: Any, header: geo.Raster, cog: bool) -> None:
 
 
 @contextlib.contextmanager
-def _replaced(path: Path) -> Iterator[Path]:
-    """A path that becomes ``path`` when the block ends well. Its name tells the next run, whose lock lets no
-    other one write, what a run that was killed has left.
-    """
-    temporary = path.with_name(path.name + ".scratch.tmp")
+def _none_left(out: str) -> Iterator[None]:
+    """Remove what this run, or an earlier one that was killed, leaves of the file that becomes ``out``."""
+    path = Path(out).resolve()
 
     def remove() -> None:
-        for left in path.parent.glob(glob.escape(temporary.name) + "*"):
+        for left in path.parent.glob(glob.escape(path.name + UNFINISHED) + "*"):
             left.unlink(missing_ok=True)
 
     remove()
     try:
-        yield temporary
-        os.replace(temporary, path)
+        yield
     finally:
         remove()
 
 
 def _write_plain(path: Path, maps: Any, header: geo.Raster) -> None:
+    """Write a GeoTIFF without overviews."""
     rasterio = importlib.import_module("rasterio")
     bands, rows, cols = maps.shape
     with rasterio.open(

@@ -98,11 +98,14 @@ def folder(path: StrPath) -> Path:
 
 
 @contextlib.contextmanager
-def replacing_file(path: StrPath) -> Iterator[Path]:
-    """A path that becomes ``path`` when the block ends well, and is gone when it does not."""
+def replacing_file(path: StrPath, ending: str = "") -> Iterator[Path]:
+    """A path that becomes ``path`` when the block ends well, and is gone when it does not.
+
+    ``ending``: what it has more than the name of ``path``; a name of its own by default.
+    """
     path = destination(Path(path)).resolve()  # through a symbolic link, not over it
     # in the same folder: a rename must not cross file systems
-    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    temporary = path.with_name(path.name + ending if ending else f".{secrets.token_hex(8)}.tmp")
     try:
         yield temporary
         os.replace(temporary, path)

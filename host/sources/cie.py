@@ -142,7 +142,7 @@ def cie_sky(
             f"cie_sky: type {type}{' with direct' * bool(direct)}",
             "no sun",
             "sun=(azimuth, elevation) in degrees",
-            "sun_position gives it from time and place (--sun of the command line).",
+            "sun_position gives it from time and place.",
         )
     if sun is not None:
         sun = _angles(sun)
