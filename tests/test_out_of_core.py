@@ -1,14 +1,17 @@
 """`skylamp horizon` and `render --memory`: a file of any size to a file, interrupted and resumed."""
 
+import contextlib
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,6 +34,7 @@ distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow  # processes start, and import
 NODATA, TILE = -9999.0, 256
 MEMORY = ["--memory", "3GB", "--tile", str(TILE)]
+NOTHING = out_of_core.Computation(None, None, {})
 OPTIONS = ["--azimuths", "8", *MEMORY]
 
 
@@ -249,6 +253,64 @@ def test_an_interrupted_image_goes_on(dem, tmp_path):
         assert_bits_equal(np.nan_to_num(file.read()), np.nan_to_num(image.transpose(2, 0, 1)))
         assert file.overviews(1) and file.crs.to_epsg() == 32633
     assert sorted(os.listdir(tmp_path)) == ["out.tif"]
+
+
+def test_two_names_of_one_output_are_one_run(dem, tmp_path, capsys):
+    """The file of one run took the name of the other's, exit code 0."""
+    link, real = tmp_path / "link.tif", tmp_path / "real.tif"
+    link.symlink_to(real)
+    with out_of_core.locked(real.with_name("real.tif.scratch")), pytest.raises(SystemExit) as ended:
+        cli.main(["horizon", str(dem[0]), "--out", str(link), *OPTIONS])
+    assert ended.value.code == 3 and "another run" in capsys.readouterr().err
+
+
+def test_a_file_that_changes_during_a_run_is_an_error(dem, tmp_path):
+    """Its tiles were of two maps, exit code 0."""
+    path = tmp_path / "in.tif"
+    shutil.copy(dem[0], path)
+    job = out_of_core.Job(
+        path, out_of_core.state_of(path), tmp_path, SimpleNamespace(shape=(600, 768)), NOTHING
+    )
+    box = (0, 8), (0, 8)
+    assert out_of_core._window(job, box, [0, 0]).shape == (8, 8)
+    os.utime(path, (1, 1))
+    with pytest.raises(InputError, match=r"in.tif: it has changed since the run began.*1970-01-01T00:00:01"):
+        out_of_core._window(job, box, [0, 0])
+
+
+def test_a_scratch_that_is_removed_is_said(dem, tmp_path, monkeypatch, capsys):
+    """And nobody is sent to it."""
+    client = SimpleNamespace(nthreads=lambda: {"a": 1}, run=lambda *_: {"a": "numpy"})
+    monkeypatch.setattr(out_of_core, "workers_of", lambda _: contextlib.nullcontext(client))
+    monkeypatch.setattr(out_of_core, "run", lambda job, *_: shutil.rmtree(job.scratch))
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["horizon", str(dem[0]), "--out", str(tmp_path / "o.tif"), *OPTIONS])
+    said = capsys.readouterr().err
+    assert ended.value.code == 3 and "it was removed" in said and "--resume" not in said
+
+
+@pytest.fixture(scope="module")
+def machines():
+    """A cluster of one worker in this process."""
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
+        yield out_of_core.Machines(None, 1, cluster.scheduler_address, TILE, False, False)
+
+
+def test_a_scheduler_that_is_lost_is_one_error(machines):
+    """Its futures are cancelled."""
+    with pytest.raises(InputError, match="the connection to it was lost"), out_of_core.workers_of(machines):
+        raise distributed.client.FutureCancelledError("compute", "scheduler-connection-lost")
+
+
+def test_workers_that_do_not_compute_are_said(machines, monkeypatch, capsys):
+    """Those whose memory is full pause, and no task ends."""
+    monkeypatch.setattr(out_of_core, "WAIT", 0.1)
+    with distributed.Client(machines.scheduler) as client:
+        for status, times in (("running", 0), ("paused", 1)):
+            monkeypatch.setattr(client, "scheduler_info", lambda **_: {"workers": {"a": {"status": status}}})  # noqa: B023
+            futures = [client.submit(time.sleep, 0.6, pure=False)]
+            assert list(out_of_core._finished(client, futures)) == futures
+            assert capsys.readouterr().err.count("Waiting: none of 1 workers computes") == times
 
 
 @pytest.mark.parametrize(

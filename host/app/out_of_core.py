@@ -6,6 +6,7 @@ and which of them are done lie in a Zarr group beside the output until that is w
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import errno
 import glob
@@ -16,6 +17,7 @@ import logging
 import secrets
 import shutil
 import signal
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -55,13 +57,14 @@ COMPATIBLE = (
 )
 # of the page of Dask, which it makes unasked: of two runs at once, both have one without a warning
 ANY_PORT = "127.0.0.1:0"
-WAIT = 30  # [s] for a scheduler, and for its first worker; chosen: Dask's own default
+WAIT = 30  # [s] for a scheduler, and for a worker that computes; chosen: Dask's own default
+POLL = 0.05  # [s] between looks for finished tiles, which take seconds; chosen
 TIFF_BLOCK = 512  # [node], blocks of the GeoTIFF that is written
 RUN = "run-"  # begin of the name of the arrays of a run in its scratch
 # end of the name of the file that is being written: by it the next run, the only one by its lock, knows what
 # a killed run has left
 UNFINISHED = ".scratch.tmp"
-SCRATCH_FORM = 4  # number of the scratch group's form: one more with every change of its arrays
+SCRATCH_FORM = 5  # number of the scratch group's form: one more with every change of its arrays
 
 
 class Machines(NamedTuple):
@@ -130,11 +133,13 @@ class Computation(NamedTuple):
 class Job(NamedTuple):
     """A quantity of a file: all data that a task needs.
 
-    ``dtype``: of heights and their overviews. ``backend``: the name of that of the workers, or of all theirs.
-    ``run``: the name of its arrays in the scratch.
+    ``state`` of the file as the run began, see state_of. ``dtype``: of heights and their overviews.
+    ``backend``: the name of that of the workers, or of all theirs. ``run``: the name of its arrays in the
+    scratch.
     """
 
     file: Path
+    state: tuple[int, str]
     scratch: Path
     layout: Layout
     quantity: Computation
@@ -188,14 +193,19 @@ def image(
     work = tile_image(scene, source, backend, **options)
     kind = words.get("source")
     if kind is not None and Path(kind).exists():  # an environment map
-        state = Path(kind).stat()
-        words = {**words, "source": [str(Path(kind).resolve()), state.st_size, state.st_mtime_ns]}
+        words = {**words, "source": [str(Path(kind).resolve()), *state_of(Path(kind))]}
     settings = dict(words, **options)
     bands, between = 3 if work.in_colour else 1, work.between
     reach = options.get("max_distance")
     return Computation(
         work, work.audit, settings, reach, bands=bands, albedo=scene.albedo, between=between, spacing=spacing
     )
+
+
+def state_of(file: Path) -> tuple[int, str]:
+    """Bytes of a file, and when it was changed, UTC."""
+    state = file.stat()
+    return state.st_size, str(np.datetime64(state.st_mtime_ns, "ns"))
 
 
 def write_quantity(
@@ -212,8 +222,9 @@ def write_quantity(
     if machines.workers > 1 and machines.scheduler is not None:
         raise bad("--workers with --scheduler", machines.workers, "one of the two", "A cluster has its own.")
     side = machines.side if machines.scheduler is None else None  # a CapacityError before any worker starts
-    header = geo.header(file, spacing=quantity.spacing)
-    scratch = Path(out).absolute().with_name(Path(out).name + ".scratch")  # workers have another folder
+    header, state = geo.header(file, spacing=quantity.spacing), state_of(file)
+    written = Path(out).resolve()  # workers have another folder; of all links to it one run at a time
+    scratch = written.with_name(written.name + ".scratch")
     dtype = "float32" if np.can_cast(header.values.dtype, np.float32) else "float64"
     begun = False
     with locked(scratch):
@@ -229,14 +240,16 @@ def write_quantity(
                     quantity.between,
                 )
                 names = ", ".join(sorted(set(client.run(_backend_of, quantity.audit.backend).values())))
-                job = Job(file.resolve(), scratch, layout, quantity, dtype, names)
+                job = Job(file.resolve(), state, scratch, layout, quantity, dtype, names)
                 group, begun = scratch_of(job, machines.resume), True
                 run(job._replace(run=group.basename), group, client, progress)
+            if "values" not in group:
+                raise InputError(f"{scratch}: it was removed while tiles were computed.")
             write(out, group["values"], header, machines.cog)
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt) and scratch.exists():
                 typer.echo(f"Interrupted: finished tiles are in {scratch}; --resume continues.", err=True)
-            elif begun:
+            elif begun and scratch.exists():
                 typer.echo(f"Stopped: finished tiles are in {scratch}; --resume continues.", err=True)
             raise
         discard(scratch)
@@ -310,24 +323,38 @@ def _each(
     *more: Any,
 ) -> int:
     """Run ``task`` (job, number, ...) for every tile that has no flag; how many are done then."""
-    distributed = importlib.import_module("distributed")
     left = np.flatnonzero(flags[:] == 0).tolist()
     futures = [client.submit(task, job, number, *more, pure=False) for number in left]
     tell(done)
     try:
-        for future in distributed.as_completed(futures):
+        for future in _finished(client, futures):
             future.result()
             done += 1
             tell(done)
-    except BaseException as error:
+    except BaseException:
         client.cancel(futures)
-        if isinstance(error, distributed.KilledWorker):
-            raise CapacityError(
-                "--memory: all workers that computed a tile died, probably for lack of memory. Give more of"
-                " it, fewer --workers or a smaller --tile."
-            ) from error
         raise
     return done
+
+
+def _finished(client: Any, futures: list[Any]) -> Iterator[Any]:
+    """Futures as they end; it is said once where no worker is at work for long."""
+    completed = importlib.import_module("distributed").as_completed(futures)
+    said, since = False, time.monotonic()
+    while not completed.is_empty():
+        if batch := completed.next_batch(block=False):
+            yield from batch
+            since = time.monotonic()
+            continue
+        time.sleep(POLL)
+        if not said and time.monotonic() - since > WAIT:
+            workers = client.scheduler_info(n_workers=-1)["workers"].values()
+            if said := all(worker["status"] != "running" for worker in workers):
+                typer.echo(
+                    f"Waiting: none of {len(workers)} workers computes, probably for lack of memory; Ctrl-C"
+                    " keeps finished tiles.",
+                    err=True,
+                )
 
 
 def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
@@ -336,7 +363,10 @@ def _window(job: Job, box: Any, depths: list[int]) -> np.ndarray:
         for (first, count), depth, nodes in zip(box, depths, job.layout.shape)
     )
     try:
-        return np.float32(job.quantity.sign) * geo.window(job.file, rows, cols, job.dtype)
+        heights = geo.window(job.file, rows, cols, job.dtype)
+        if (state := state_of(job.file)) == job.state:
+            return np.float32(job.quantity.sign) * heights
+        text = f"{job.file}: it has changed since the run began, from {job.state} to {state} (bytes, UTC)."
     except InputError as error:
         text = str(error)
     raise InputError(text)  # here, since Dask cannot send what caused it, an error of rasterio's
@@ -388,8 +418,8 @@ def scratch_of(job: Job, resume: bool) -> Any:
     A new one has a name of its own: on a cluster, tasks of a run that was interrupted go on until they have
     written their tiles, which are another run's.
     """
-    state = job.file.stat()
-    told = dict(file=str(job.file), bytes=state.st_size, changed=state.st_mtime_ns, **job.quantity.settings)
+    size, changed = job.state
+    told = dict(file=str(job.file), bytes=size, changed=changed, **job.quantity.settings)
     text = json.dumps(
         {
             **told,
@@ -520,6 +550,7 @@ def _held(job: Job, mode: str = "r+") -> Any:
 def workers_of(machines: Machines) -> Iterator[Any]:
     """A client of a running scheduler, or of processes of this machine that share its memory."""
     distributed = _imported("distributed")
+    CommClosedError = importlib.import_module("distributed.comm").CommClosedError
     with contextlib.ExitStack() as stack:
         at: Any = machines.scheduler
         if at is None:
@@ -541,12 +572,21 @@ def workers_of(machines: Machines) -> Iterator[Any]:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError:
             raise InputError(f"--scheduler {at}: it has had no workers for {WAIT} s.") from None
-        # of a worker that died, whose tiles another one computes
-        logging.getLogger("distributed.client").setLevel(logging.ERROR)
-        client.register_plugin(devices())
-        if machines.scheduler is None:
-            client.run(_be_silent)
-        yield client
+        # of a worker that died, whose tiles another one computes, and of a scheduler that did
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL + 1)
+        try:
+            client.register_plugin(devices())
+            if machines.scheduler is None:
+                client.run(_be_silent)
+            yield client
+        except (distributed.KilledWorker, CommClosedError) as error:
+            more = "Give more of it, fewer --workers" if machines.scheduler is None else "Give them more"
+            raise CapacityError(
+                f"--memory: all workers that computed a tile died, probably for lack of memory. {more} or a"
+                " smaller --tile."
+            ) from error
+        except concurrent.futures.CancelledError as error:
+            raise InputError(f"--scheduler {at}: the connection to it was lost.") from error
 
 
 def _be_silent() -> None:

@@ -26,7 +26,8 @@ def readable(path: StrPath) -> Path:
         if path.is_dir():
             raise bad(f"{path}: cannot read", "a folder", "a file")
         if not path.exists():
-            raise InputError(f"File not found: {path}. The path is looked up from {Path.cwd()}.")
+            where = "" if path.is_absolute() else f" The path is looked up from {Path.cwd()}."
+            raise InputError(f"File not found: {path}.{where}")
         if path.suffix.lower() not in MAP_SUFFIXES + HDR:
             photograph = path.suffix.lower() in (".jpg", ".jpeg")
             fix = "A photograph is decoded first, by skylamp.io.linear." if photograph else ""
