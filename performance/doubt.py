@@ -1,7 +1,8 @@
 """Whether recover()'s standard deviation is worth its name: sparsification error and calibration. Writes
 OUT/doubt.csv and OUT/doubt.png.
 
-    python performance/doubt.py [--backend NAME] [--cache FOLDER] [--only WORD] [--drawn N] [--out FOLDER]
+    python performance/doubt.py [--backend NAME] [--cache FOLDER] [--only WORD] [--drawn N | --painted]
+                                [--out FOLDER]
 
 Fifteen surfaces of tests/surfaces.py (the five and the ten) under a sky, a sky with a sun, a lamp, a
 spotlight, and under spotlight and sky together; noise of 1 and 3 % of the image's maximum and 8 bits, each
@@ -14,7 +15,9 @@ as a share of the RMSE. 0 is the best order. Errors that are all of one size in 
 whatever order.
 
 With --drawn N: instead of these, N surfaces that are drawn at random from eight families, under the sun, the
-lamp and the spotlight; OUT/doubt_drawn.csv.
+lamp and the spotlight; OUT/doubt_drawn.csv. With --painted: the fifteen surfaces, 32 nodes a side, painted in
+squares, their albedo not given, under two and three lights, without noise and with 1 %;
+OUT/doubt_painted.csv.
 
 Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others. Those
 of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; CREASE_WEIGHT
@@ -46,6 +49,8 @@ from skylamp.inverse.pyramid import NORMAL_QUARTILE
 
 LIGHTS = ("sky", "sun", "lamp", "spot", "spot+sky")
 NOISES = ("noise 1", "noise 3", "8 bits")
+PAINTED = "painted sky+lamp", "painted sky+sun", "painted sky+lamp+spot"
+PAINT, PAINTED_SQUARE = (0.3, 0.7), 4  # two albedos; [nodes]
 NAMES = (*SURFACES, *OTHERS)
 FAR, NEAR = 5, 2  # nodes: what is called wrong, and what right
 SHARES = 50  # of pixels that are left out
@@ -69,6 +74,10 @@ def cases() -> list[tuple[int, str, str, str]]:
 def drawn_cases(count: int) -> list[tuple[int, str, str, str]]:
     surfaces.OTHERS.update({f"drawn {seed}": drawn(seed) for seed in range(count)})
     return [(64, f"drawn {seed}", light, "0") for light in LIGHTS[1:4] for seed in range(count)]
+
+
+def painted_cases() -> list[tuple[int, str, str, str]]:
+    return list(itertools.product((32,), NAMES, PAINTED, ("0", "noise 1")))
 
 
 def drawn(seed: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -148,6 +157,8 @@ def half_of(surface: str) -> int:
 
 def problem(size: int, surface: str, light: str, noise: str) -> tuple[np.ndarray, list, list, int]:
     """(true depth, images, sources, layers)."""
+    if light in PAINTED:
+        return painted(size, surface, light.split()[1].split("+"), noise)
     kinds = light.split("+")
     if surface.startswith("terrain"):
         _, heights, *at = surface.split()
@@ -159,11 +170,19 @@ def problem(size: int, surface: str, light: str, noise: str) -> tuple[np.ndarray
     return pair(surface, kinds[0], size)[0], images, [source_of(kind, size) for kind in kinds], size
 
 
-def disturbed(image: np.ndarray, noise: str) -> np.ndarray:
+def painted(size: int, surface: str, kinds: list[str], noise: str) -> tuple[np.ndarray, list, list, int]:
+    albedo = np.choose(np.indices((size, size)).sum(0) // PAINTED_SQUARE % 2, PAINT)
+    images = [pair(surface, kind, size)[1] * albedo / ALBEDO for kind in kinds]
+    if noise != "0":
+        images = [disturbed(image, noise, seed) for seed, image in enumerate(images)]
+    return pair(surface, kinds[0], size)[0], images, [source_of(kind, size) for kind in kinds], size
+
+
+def disturbed(image: np.ndarray, noise: str, seed: int = 5) -> np.ndarray:
     if noise == "8 bits":
         return np.rint(image / image.max() * 255) / 255 * image.max()
     sigma = float(noise.split()[-1]) / 100 * image.max()
-    return np.maximum(image + sigma * np.random.default_rng(5).normal(size=image.shape), 0)
+    return np.maximum(image + sigma * np.random.default_rng(seed).normal(size=image.shape), 0)
 
 
 def recovered(case: tuple[int, str, str, str], backend: str, cache: Path) -> dict[str, np.ndarray]:
@@ -171,8 +190,9 @@ def recovered(case: tuple[int, str, str, str], backend: str, cache: Path) -> dic
     kept = cache / ("_".join(map(str, case)).replace(" ", "-") + ".npz")
     if not kept.exists():
         truth, images, lights, layers = problem(*case)
+        albedo = None if case[2] in PAINTED else ALBEDO
         found = sl.recover(
-            images, lights, ALBEDO, "dark", layers=layers, backend=backend, interreflection=False
+            images, lights, albedo, "dark", layers=layers, backend=backend, interreflection=False
         )
         np.savez(
             kept,
@@ -226,12 +246,14 @@ def summary(rows: list[dict], chosen: dict[str, dict[str, np.ndarray]]) -> list[
         "half 0": [r for r in rows if not r["half"]],
         "half 1": [r for r in rows if r["half"]],
     }
-    groups |= {light: [r for r in rows if r["light"] == light] for light in LIGHTS}
+    groups |= {light: [r for r in rows if r["light"] == light] for light in (*LIGHTS, *PAINTED)}
     groups |= {"terrain": [r for r in rows if "terrain" in r["surface"]]}
     groups |= {"noise": [r for r in rows if r["noise"] != "0"]}
     names = [n for n in rows[0] if n.startswith(("within", "ause", "far,", "near,"))]
     lines = ["means over cases: " + ", ".join(names)]
     for name, group in groups.items():
+        if not group:
+            continue
         values = ([r[n] for r in group if r.get(n) is not None] for n in names)
         lines.append(
             f"{name:9s} {len(group):3d} " + " ".join(f"{np.mean(v):.3f}" if v else "-" for v in values)
@@ -309,13 +331,15 @@ def main() -> None:
     parser.add_argument("--cache", default="build/doubt", help="folder of what was recovered")
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--drawn", type=int, default=0, help="this many surfaces drawn at random instead")
+    parser.add_argument("--painted", action="store_true", help="surfaces whose albedo is not given instead")
     parser.add_argument("--out", default="docs")
     options = parser.parse_args()
     cache, out = Path(options.cache), Path(options.out)
     cache.mkdir(parents=True, exist_ok=True)
     out.mkdir(parents=True, exist_ok=True)
     rows, chosen = [], {}
-    for case in drawn_cases(options.drawn) if options.drawn else cases():
+    others = drawn_cases(options.drawn) if options.drawn else painted_cases() if options.painted else []
+    for case in others or cases():
         name = "_".join(map(str, case))
         if options.only in name:
             chosen[name] = recovered(case, options.backend, cache)
@@ -324,7 +348,8 @@ def main() -> None:
     if not rows:
         raise SystemExit(f"--only {options.only}: no case has this in its name")
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with (out / ("doubt_drawn.csv" if options.drawn else "doubt.csv")).open("w", newline="") as file:
+    kind = "_drawn" if options.drawn else "_painted" if options.painted else ""
+    with (out / f"doubt{kind}.csv").open("w", newline="") as file:
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {options.backend}"
         versions = f"Python {platform.python_version()}, NumPy {np.__version__}"
         file.write(f"# {machine}, {versions}, {datetime.date.today()}\n")
@@ -332,7 +357,7 @@ def main() -> None:
         writer.writeheader()
         shown = lambda value: f"{value:.4g}" if isinstance(value, float) else value
         writer.writerows({name: shown(value) for name, value in row.items()} for row in rows)
-    if not options.drawn:
+    if not others:
         picture(chosen, out / "doubt.png")
     print("\n".join(summary(rows, chosen)))
 

@@ -178,7 +178,9 @@ INGREDIENTS = {
     ),
     # confidence
     "rivals": Ingredient([without_doubt(confidence.by_rivals)], CONFIDENCE),
-    "posterior deviation": Ingredient([without_doubt(confidence.by_noise)], CONFIDENCE),
+    "posterior deviation": Ingredient(
+        [(confidence, "by_noise", lambda pyramid, level, z, misfit: np.zeros(z.shape))], CONFIDENCE
+    ),
     "finer model": Ingredient([without_doubt(confidence.by_finer_model)], CONFIDENCE),
     "creases": Ingredient([without_doubt(confidence.by_creases)], CONFIDENCE),
     "second refit": Ingredient([(finer_model, "REFITS", 1)], CONFIDENCE),

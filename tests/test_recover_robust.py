@@ -530,6 +530,49 @@ def test_an_albedo_that_two_images_do_not_tell_is_not_trusted(fast):
     assert any("albedo" in warning for warning in got.warnings)
 
 
+def _painted(depth, paint, lights, noise, sides, backend):
+    """What is found of ground painted in squares of two albedos, which are not given, and its errors."""
+    y, x = np.indices(depth.shape)
+    scene = sl.Scene(depth, albedo=np.choose((x // 5 + y // 7) % 2, paint), sides=sides)
+    options = dict(tolerance=0.002, interreflection=False, backend=backend)
+    images, random = [sl.render(scene, light, **options).image for light in lights], np.random.default_rng(7)
+    images = [np.maximum(i + noise * i.max() * random.normal(size=i.shape), 0) for i in images]
+    got = recover(images, lights, None, sides, layers=16, backend=backend)
+    return got, np.abs(got.depth - depth)
+
+
+_Y, _X = np.mgrid[:24, :24]
+WAVES = 6 + 2 * np.sin(_X / 4 + 0.3) * np.cos(_Y / 5) + 0.05 * _X
+LAMPS = [sl.Lamp(at, radius=2, brightness=25) for at in ((-10, 5, -12), (30, 12, -15), (10, 35, -10))]
+
+
+@pytest.mark.slow
+def test_three_lamps_fix_a_painted_surface(fast):
+    """The std followed the contrast of the paint: 3.7 nodes on average where the error is 0.06."""
+    got, off = _painted(WAVES, (0.7, 0.2), LAMPS, 0, "open", fast)
+    assert rms(off) < 0.1 and got.std.mean() < 1.5 and got.warnings == []
+
+
+@pytest.mark.slow
+def test_walls_alone_do_not_tell_the_place(fast):
+    """Two skies over an unknown albedo, 1 % of noise: three nodes off with a std of 0.1 and no warning."""
+    skies = [sl.Sky(), sl.Sky(sl.cosine_power(20, (0.5, 0.3, -0.8)))]
+    got, off = _painted(WAVES, (0.4, 0.4), skies, 0.01, "dark", fast)
+    assert rms(off) > 2 and np.mean(off < 2 * got.std) > 0.85
+    assert any("depends on the albedo" in text for text in got.warnings)
+
+
+@pytest.mark.slow
+def test_noise_of_an_unknown_albedo_counts(fast):
+    """A sky and a lamp over rough ground, 1 % of noise: 38 % of the depths were within two std."""
+    row, col = np.fft.fftfreq(24)[:, None], np.fft.rfftfreq(24)
+    waves = np.fft.rfft2(np.random.default_rng(3).normal(size=(24, 24)))
+    relief = np.fft.irfft2(waves * np.exp(-((6 * np.hypot(row, col)) ** 2)), (24, 24))
+    depth = np.maximum(6 + 2 * (relief - relief.mean()) / relief.std(), 0.5)
+    got, off = _painted(depth, (0.4, 0.4), [sl.Sky(), LAMPS[0]], 0.01, "dark", fast)
+    assert np.mean(off < 2 * got.std) > 0.75
+
+
 def test_one_image_cannot_tell_the_albedo():
     """albedo=None with one image, or with method='paper', is an error that names several images."""
     for more in (
@@ -1126,7 +1169,7 @@ def test_doubt_under_rectangles(fast, source, narrow):
     """Of depths from exact images about as many as should be lie within one and two std; narrow rectangles,
     of which that is not so, are told."""
     off = []
-    for seed in (31, 32, 33):
+    for seed in (31,) if narrow else (31, 32, 33):
         waves = np.random.default_rng(seed).normal(size=(48, 25)) * np.exp(1j * seed)
         row, col = np.fft.fftfreq(48)[:, None], np.fft.rfftfreq(48)
         relief = np.fft.irfft2(48 * waves * np.exp(-((24 * np.hypot(row, col)) ** 2)), (48, 48))
@@ -1255,8 +1298,8 @@ def test_an_interrupt_after_the_search_keeps_its_surface(fast, monkeypatch, name
     """Ctrl-C while answers are compared, or judged: then any depth between the bounds is as likely."""
     module = importlib.import_module("skylamp.inverse.recover")
     depth, image = pair("bumps", "sky")
-    limits = dict(near=4.0, far=np.full((16, 16), 30.0), backend=fast)
-    ask = functools.partial(sl.recover, image[:16, :16], sl.Sky(), ALBEDO, "dark", **limits)
+    limits = dict(near=4.0, far=np.full((8, 8), 30.0), backend=fast)
+    ask = functools.partial(sl.recover, image[:8, :8], sl.Sky(), ALBEDO, "dark", **limits)
     whole = ask()
 
     def interrupt(*_):

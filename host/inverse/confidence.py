@@ -64,7 +64,9 @@ CORRECTED_WEIGHT, CREASE_WEIGHT = 0.5, 0.5
 # nodes are marked; with a weight of 2.5, 13 instead of 9 % of those that are right within 2
 DISTURBED, DISTURBED_WEIGHT, UNDER_SKY, UNDER_LAMP = 4, 2.0, 1 / 32, 0.3
 SHALLOWER = 0.1  # quantile of depth that bounds a shallower answer at first
-EVEN_WEIGHT = 10.0  # factor on the weight of an even albedo, to see how depth depends on it
+# factor on the weight of an even albedo, and on the noise, to see how depth depends on it;
+# performance/doubt.py --painted
+EVEN_WEIGHT = 10.0
 LEAST_STD = 2e-3  # [nodes of the answer's grid] that float32 and the last step leave, about
 SHIFTS = 33  # of the surface as a whole, up and down
 UNTRUSTED = 0.5  # confidence below which a pixel is not trusted: more likely wrong than right
@@ -119,7 +121,7 @@ def judgement_of(
 ) -> Judgement:
     """The judgement on the surface z of grid ``level`` whose rivals are of grid ``rivals_at``.
 
-    An albedo that was not known is taken for known on the way.
+    An albedo that was not known is taken for known on the way, after the parts that it has a share in.
     """
     pyramid = multigrid.pyramid
     place = free_place(pyramid, float(np.mean(z)) * 2**level)
@@ -130,7 +132,9 @@ def judgement_of(
     rivals = [Rival(halved_depth(off, grid - rivals_at), weight) for off, weight in rivals]
     variance = np.full(small.shape, (LEAST_STD / 2 ** (grid - level)) ** 2)
     if not pyramid.albedo_known:
-        variance = variance + by_even_albedo(pyramid, grid, small)
+        variance = variance + by_even_albedo(pyramid, grid, small) + by_walls(pyramid, grid, small)
+    variance = variance + by_noise(pyramid, grid, small, misfit)
+    if not pyramid.albedo_known:
         pyramid.fix_albedo(level, z)
     refit = refit_of(pyramid, grid, small)
     judged = Judged(multigrid, grid, small, misfit, rivals, refit, place)
@@ -169,15 +173,15 @@ def confidence_of(std: np.ndarray, depth_range: float) -> np.ndarray:
     return 1 / (1 + (std / half) ** 2)
 
 
-def by_noise(judged: Judged) -> np.ndarray:
-    """Variance by noise. A misfit of the images beyond their noise counts as noise."""
-    pyramid, level = judged.pyramid, judged.level
-    per_noise = (
-        posterior_deviation(pyramid.problem(level), judged.z, pyramid.smoothness(level), PROBE) / PROBE
-    )
-    pyramid.problem(level).set_targets(pyramid.images[level])
+def by_noise(pyramid: Pyramid, level: int, z: np.ndarray, misfit: np.ndarray) -> np.ndarray:
+    """Variance by noise, also of the albedo, where it is not known. A misfit of the images beyond their noise
+    counts as noise; it is the mean of squares (rows, cols) around every node.
+    """
+    problem = pyramid.problem(level)
+    per_noise = posterior_deviation(problem, z, pyramid.smoothness(level), PROBE) / PROBE
+    problem.set_targets(pyramid.images[level])
     noise = noise_at(pyramid, level) ** 2
-    beyond = MISFIT_WEIGHT**2 * np.maximum(judged.misfit - noise, 0)
+    beyond = MISFIT_WEIGHT**2 * np.maximum(misfit - noise, 0)
     return per_noise**2 * (noise + beyond + model_error(pyramid) ** 2)
 
 
@@ -213,7 +217,7 @@ def by_place(judged: Judged) -> np.ndarray:
     pyramid, z = judged.pyramid, judged.z
     if judged.place is not None:
         moved, line = judged.place.lines(z.shape, 2.0**judged.level)
-    elif pyramid.sides != "dark" and all(isinstance(light, Sky) for light in pyramid.sources):
+    elif pyramid.sides != "dark" and _are_skies(pyramid):
         moved, line = np.ones(z.shape), np.zeros(z.shape, int)  # skies tell nothing of it, unless walls do
     else:
         return np.zeros(z.shape)
@@ -268,7 +272,7 @@ def by_other_answers(judged: Judged) -> np.ndarray:
 
     def variance_of(start: np.ndarray) -> np.ndarray:
         other = refitted(multigrid, level, start, own)
-        likeness = np.minimum(1, misfit / misfit_around(pyramid, level, other))
+        likeness = likeness_of(pyramid, level, misfit, other)
         variance: np.ndarray = likeness * blurred(np.abs(other - own)) ** 2
         return variance
 
@@ -280,8 +284,8 @@ def by_other_answers(judged: Judged) -> np.ndarray:
     return apart**2
 
 
+# besides noise, and what an albedo that is not known leaves open
 PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
-    by_noise,
     by_place,
     by_gaps,
     by_finer_model,
@@ -292,14 +296,62 @@ PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
 
 
 def by_even_albedo(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
-    """Squared distance to the surface of a more even albedo, where the albedo is not known."""
-    problem = pyramid.problem(level)
-    assert problem.albedo is not None, "the albedo is not known"
-    problem.albedo.set_prior(pyramid.expected_albedo, EVEN_WEIGHT * PRIOR_WEIGHT)
+    """Squared distance to surfaces of a more even albedo, where the albedo is not known.
+
+    As far as they explain the images as well, but for two images without noise: those fix neither.
+    """
+    albedo, misfit = pyramid.problem(level).albedo, misfit_around(pyramid, level, z)
+    assert albedo is not None, "the albedo is not known"
+
+    def variance_of(weight: float, is_told: bool) -> np.ndarray:
+        albedo.set_prior(pyramid.expected_albedo, EVEN_WEIGHT * weight)
+        other = from_start(pyramid, level, z, z)
+        albedo.set_prior(pyramid.expected_albedo)
+        likeness = likeness_of(pyramid, level, misfit, other) if is_told else 1.0
+        variance: np.ndarray = UNEVEN_WEIGHT**2 * likeness * blurred(np.abs(other - z)) ** 2
+        return variance
+
+    variance = variance_of(PRIOR_WEIGHT, len(pyramid.sources) > 2)
+    noise = noise_at(pyramid, level)
+    return np.maximum(variance, variance_of(noise, True)) if noise > PRIOR_WEIGHT else variance
+
+
+def by_walls(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
+    """Squared distance to the surfaces that are found from starts half-way to the bounds of depth, as far as
+    they explain the images as well: of two skies over an albedo that is not known, where walls alone tell how
+    deep the surface lies.
+    """
+    if pyramid.sides != "dark" or len(pyramid.sources) > 2 or not _are_skies(pyramid):
+        return np.zeros(z.shape)
+    misfit = misfit_around(pyramid, level, z)
+
+    def variance_of(bound: np.ndarray) -> np.ndarray:
+        other = from_start(pyramid, level, (z + bound) / 2, z)
+        variance: np.ndarray = likeness_of(pyramid, level, misfit, other) * blurred(np.abs(other - z)) ** 2
+        return variance
+
+    low, high = map(variance_of, pyramid.bounds[level])
+    larger: np.ndarray = np.maximum(low, high)
+    return larger
+
+
+def _are_skies(pyramid: Pyramid) -> bool:
+    return all(isinstance(light, Sky) for light in pyramid.sources)
+
+
+def from_start(pyramid: Pyramid, level: int, start: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """The surface (rows, cols) that is found on this grid alone; its prior is the answer z."""
     pyramid.set_prior(level, on_coarser_grid(z))
-    other = problem.run(z, pyramid.smoothness(level), STEPS, ITERATIONS, *CLOSE, pyramid.stop)
-    problem.albedo.set_prior(pyramid.expected_albedo)
-    return (UNEVEN_WEIGHT * blurred(np.abs(other.depth - z))) ** 2
+    problem, smoothness = pyramid.problem(level), pyramid.smoothness(level)
+    return problem.run(start, smoothness, STEPS, ITERATIONS, *CLOSE, pyramid.stop).depth
+
+
+def likeness_of(pyramid: Pyramid, level: int, misfit: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How well another surface explains the images around a node (rows, cols), at most 1: that of the answer,
+    whose ``misfit`` there is given.
+    """
+    likeness: np.ndarray = np.minimum(1, misfit / misfit_around(pyramid, level, other))
+    return likeness
 
 
 def refitted(multigrid: Multigrid, level: int, start: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -310,7 +362,7 @@ def refitted(multigrid: Multigrid, level: int, start: np.ndarray, z: np.ndarray)
 
 def misfit_around(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
     """Mean squares of model - image around every node, plus those of noise and of the least model error."""
-    squares = residuals_of(pyramid, level, z)[0] ** 2
+    squares = np.mean(residuals_of(pyramid, level, z) ** 2, axis=0)
     least: float = model_error(pyramid) ** 2 + noise_at(pyramid, level) ** 2
     return blurred(squares, 3) + least
 
