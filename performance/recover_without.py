@@ -161,7 +161,7 @@ INGREDIENTS = {
     "least on large": Ingredient([(pyramid, "LEAST_ON_LARGE", pyramid.LEAST_SMOOTHNESS)], DEPTH, is_large),
     "cycles": Ingredient([(Multigrid, "cycles", _relaxed)], DEPTH, is_large),
     "stiff cycles": Ingredient([(multigrid, "CYCLE_SMOOTHNESS", 1e-9)], DEPTH, is_large),
-    "noise": Ingredient([(pyramid, "noise_of", lambda image, known: 0.0)], DEPTH, is_noisy),
+    "noise": Ingredient([(pyramid, "noise_of_all", lambda *_: 0.0)], DEPTH, is_noisy),
     "prior of the coarser grid": Ingredient([(Pyramid, "set_prior", NOTHING)], DEPTH, is_noisy),
     "cubic interpolation": Ingredient(
         [(module, "cubic", _linear) for module in (pyramid, multigrid, finer_model)]

@@ -289,7 +289,7 @@ def test_a_scratch_that_is_removed_is_said(dem, tmp_path, monkeypatch, capsys):
     assert ended.value.code == 3 and "it was removed" in said and "--resume" not in said
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def machines():
     """A cluster of one worker in this process."""
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
@@ -498,6 +498,6 @@ def test_workers_in_another_folder(dem, tmp_path, monkeypatch):
         assert os.listdir(tmp_path) == ["out.tif"]
         with pytest.raises(InputError, match="one of the two"):
             out_of_core.write_quantity(dem[0], "o.tif", quantity, machines._replace(workers=3), None)
-        monkeypatch.setattr(Path, "absolute", lambda path: path)
+        monkeypatch.setattr(Path, "resolve", lambda path: path)
         with pytest.raises(InputError, match="a worker finds no o.tif.scratch"):
             out_of_core.write_quantity(dem[0], "o.tif", quantity, machines, None)

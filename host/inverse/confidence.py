@@ -18,7 +18,7 @@ from .albedo import PRIOR_WEIGHT
 from .creases import errors_at_creases
 from .finer_model import Refit, refit_of
 from .multigrid import CLOSE, ITERATIONS, STEPS, Multigrid
-from .place import FreePlace, free_place, most_of
+from .place import FreePlace, free_place, most_of, place_by_lights, walls_tell
 from .posterior import posterior_deviation, posterior_samples, shift_by
 from .pyramid import (
     MODEL_ERROR,
@@ -64,9 +64,7 @@ CORRECTED_WEIGHT, CREASE_WEIGHT = 0.5, 0.5
 # nodes are marked; with a weight of 2.5, 13 instead of 9 % of those that are right within 2
 DISTURBED, DISTURBED_WEIGHT, UNDER_SKY, UNDER_LAMP = 4, 2.0, 1 / 32, 0.3
 SHALLOWER = 0.1  # quantile of depth that bounds a shallower answer at first
-# factor on the weight of an even albedo, and on the noise, to see how depth depends on it;
-# performance/doubt.py --painted
-EVEN_WEIGHT = 10.0
+EVEN_WEIGHT = 10.0  # factor on the weight of an even albedo, to see how depth depends on it
 LEAST_STD = 2e-3  # [nodes of the answer's grid] that float32 and the last step leave, about
 SHIFTS = 33  # of the surface as a whole, up and down
 UNTRUSTED = 0.5  # confidence below which a pixel is not trusted: more likely wrong than right
@@ -217,7 +215,7 @@ def by_place(judged: Judged) -> np.ndarray:
     pyramid, z = judged.pyramid, judged.z
     if judged.place is not None:
         moved, line = judged.place.lines(z.shape, 2.0**judged.level)
-    elif pyramid.sides != "dark" and _are_skies(pyramid):
+    elif pyramid.sides != "dark" and all(isinstance(light, Sky) for light in pyramid.sources):
         moved, line = np.ones(z.shape), np.zeros(z.shape, int)  # skies tell nothing of it, unless walls do
     else:
         return np.zeros(z.shape)
@@ -296,32 +294,26 @@ PARTS: tuple[Callable[[Judged], np.ndarray], ...] = (
 
 
 def by_even_albedo(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
-    """Squared distance to surfaces of a more even albedo, where the albedo is not known.
-
-    As far as they explain the images as well, but for two images without noise: those fix neither.
+    """Squared distance to the surface of a more even albedo, where the albedo is not known; of three images
+    and more, which fix depth and albedo, as far as it explains them as well.
     """
     albedo, misfit = pyramid.problem(level).albedo, misfit_around(pyramid, level, z)
     assert albedo is not None, "the albedo is not known"
-
-    def variance_of(weight: float, is_told: bool) -> np.ndarray:
-        albedo.set_prior(pyramid.expected_albedo, EVEN_WEIGHT * weight)
-        other = from_start(pyramid, level, z, z)
-        albedo.set_prior(pyramid.expected_albedo)
-        likeness = likeness_of(pyramid, level, misfit, other) if is_told else 1.0
-        variance: np.ndarray = UNEVEN_WEIGHT**2 * likeness * blurred(np.abs(other - z)) ** 2
-        return variance
-
-    variance = variance_of(PRIOR_WEIGHT, len(pyramid.sources) > 2)
-    noise = noise_at(pyramid, level)
-    return np.maximum(variance, variance_of(noise, True)) if noise > PRIOR_WEIGHT else variance
+    albedo.set_prior(pyramid.expected_albedo, EVEN_WEIGHT * PRIOR_WEIGHT)
+    other = from_start(pyramid, level, z, z)
+    albedo.set_prior(pyramid.expected_albedo)
+    likeness = likeness_of(pyramid, level, misfit, other) if len(pyramid.sources) > 2 else 1.0
+    variance: np.ndarray = UNEVEN_WEIGHT**2 * likeness * blurred(np.abs(other - z)) ** 2
+    return variance
 
 
 def by_walls(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
     """Squared distance to the surfaces that are found from starts half-way to the bounds of depth, as far as
-    they explain the images as well: of two skies over an albedo that is not known, where walls alone tell how
-    deep the surface lies.
+    they explain the images as well: where the albedo is not known, and walls alone tell how deep the surface
+    lies.
     """
-    if pyramid.sides != "dark" or len(pyramid.sources) > 2 or not _are_skies(pyramid):
+    ground = float(np.mean(z)) * 2**level
+    if pyramid.sides != "dark" or not walls_tell(pyramid) or place_by_lights(pyramid, ground) is None:
         return np.zeros(z.shape)
     misfit = misfit_around(pyramid, level, z)
 
@@ -333,10 +325,6 @@ def by_walls(pyramid: Pyramid, level: int, z: np.ndarray) -> np.ndarray:
     low, high = map(variance_of, pyramid.bounds[level])
     larger: np.ndarray = np.maximum(low, high)
     return larger
-
-
-def _are_skies(pyramid: Pyramid) -> bool:
-    return all(isinstance(light, Sky) for light in pyramid.sources)
 
 
 def from_start(pyramid: Pyramid, level: int, start: np.ndarray, z: np.ndarray) -> np.ndarray:

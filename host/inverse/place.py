@@ -100,8 +100,20 @@ def most_of(group: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
+    """What lights leave open of level ground at the depth ``ground`` [nodes], see :func:`place_by_lights`;
+    None if nothing, and where the walls of a dark box, or the light behind them, tell it.
+    """
+    return None if walls_tell(pyramid) else place_by_lights(pyramid, ground)
+
+
+def walls_tell(pyramid: Pyramid) -> bool:
+    """Whether walls tell the place of a surface under skies, and a lamp at most."""
+    return pyramid.sides != "open" and sum(not isinstance(light, Sky) for light in pyramid.sources) < 2
+
+
+def place_by_lights(pyramid: Pyramid, ground: float) -> FreePlace | None:
     """What one lamp or window, or two lights over an albedo that is not known, leave open of level ground at
-    the depth ``ground`` [nodes]; None if nothing, and for other lights.
+    the depth ``ground`` [nodes], but for what walls tell; None if nothing, and for other lights.
 
     A small lamp at the height h above the ground, and at the horizontal distance r from it, casts
     E = (h - r . grad h) / (r^2 + h^2)^(3/2), but for a factor near 1 at gentle slopes; a sky over open ground
@@ -118,9 +130,8 @@ def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
     much, which makes 4 of 3 and adds 1 / h to what is divided by s.
     """
     lights = pyramid.sources
-    lamps = sum(not isinstance(light, Sky) for light in lights)  # and windows
-    is_told = lamps < 2 and pyramid.sides != "open"  # by walls
-    if is_told or len(lights) != 2 - pyramid.albedo_known or (lamps == 0 and len(lights) == 1):
+    is_sky = len(lights) == 1 and isinstance(lights[0], Sky)
+    if is_sky or len(lights) != 2 - pyramid.albedo_known:
         return None
     found = [_shading(pyramid, number, ground) for number in range(len(lights))]
     one, other = (*found, Shading(0.0, np.zeros(2)))[:2]  # of one lamp, as if even light were the other

@@ -10,7 +10,7 @@ import copy
 import functools
 import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -77,11 +77,44 @@ def noise_of(image: np.ndarray, known: np.ndarray) -> float:
 
     left = []
     for values, weight in ((image, known), (2 * halved(image), halved(known))):
-        crosses = np.abs(second(second(values).T).T)[sliding_window_view(weight > 0.7, (3, 3)).all((2, 3))]
+        crosses = np.abs(second(second(values).T).T)[_surrounded(weight)]
         if not crosses.size:
             return 0.0
         left.append(float(np.median(crosses)) / (NORMAL_QUARTILE * CROSS_NORM))
     return math.sqrt(max(0.0, TEXTURE * left[0] ** 2 - left[1] ** 2) / (TEXTURE - 1))
+
+
+def _surrounded(known: np.ndarray) -> np.ndarray:
+    """(rows - 2, cols - 2) bool: where all nine pixels are known."""
+    return np.asarray(sliding_window_view(known > 0.7, (3, 3)).all((2, 3)))
+
+
+def noise_of_all(images: list[np.ndarray], known: list[np.ndarray], albedo_known: bool) -> float:
+    """RMS over images of the deviation of their noise.
+
+    Where the albedo is not known, paint on the ground may look like noise. It does not change the share q of
+    an image in the mean T of all n, where noise is sqrt((1 - q / n)^2 + (n - 1) (q / n)^2) / T times as
+    large. So the images have no more of it than the shares tell.
+    """
+    noise, count = _rms_of(map(noise_of, images, known)), len(images)
+    mean: np.ndarray = np.mean(images, axis=0)
+    lit = mean > MODEL_ERROR
+    all_known = np.where(lit, np.min(known, axis=0), 0.0)
+    if albedo_known or count == 1 or min(mean.shape) < 6:
+        return noise
+    if not all(_surrounded(grid).any() for grid in (all_known, halved(all_known))):
+        return noise
+    mean, found = np.where(lit, mean, 1.0), []
+    for image in images:
+        share = image / mean
+        times = np.sqrt((1 - share / count) ** 2 + (count - 1) * (share / count) ** 2) / mean
+        if (typical := float(np.median(times[all_known > 0]))) > 0:  # else this image alone has light
+            found.append(noise_of(share, all_known) / typical)
+    return min(noise, _rms_of(found)) if found else noise
+
+
+def _rms_of(values: Iterable[float]) -> float:
+    return math.sqrt(float(np.mean(np.square(list(values)))))
 
 
 def share_of_images(residuals: np.ndarray) -> float:
@@ -154,8 +187,7 @@ class Pyramid:
             self.albedo.append(halved(self.albedo[-1]))
         self.coarsest = len(self.images) - 1
         self.start = grid_of_starts([level[0].shape for level in self.images])
-        noises = map(noise_of, self.seen[0], self.weights[0]) if has_noise else (0.0,)
-        self.noise = math.sqrt(float(np.mean(np.square(list(noises)))))
+        self.noise = noise_of_all(self.seen[0], self.weights[0], self.albedo_known) if has_noise else 0.0
         # by number, since a source may hold what cannot be hashed
         self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems: dict[int, Descent] = {}
