@@ -16,8 +16,8 @@ whatever order.
 
 With --drawn N: instead of these, N surfaces that are drawn at random from eight families, under the sun, the
 lamp and the spotlight; OUT/doubt_drawn.csv. With --painted: the fifteen surfaces, 32 nodes a side, painted in
-squares, their albedo not given, under two and three lights, without noise and with 1 %;
-OUT/doubt_painted.csv.
+squares: their albedo given, under one light ("mapped"), and not given, under two and three lights; without
+noise and with 1 %; OUT/doubt_painted.csv.
 
 Constants of host/inverse/confidence.py were chosen with the surfaces of half 0; half 1 are the others. Those
 of by_other_answers were chosen with the drawn surfaces 0 to 15 and with regard to both halves; CREASE_WEIGHT
@@ -49,7 +49,8 @@ from skylamp.inverse.pyramid import NORMAL_QUARTILE
 
 LIGHTS = ("sky", "sun", "lamp", "spot", "spot+sky")
 NOISES = ("noise 1", "noise 3", "8 bits")
-PAINTED = "painted sky+lamp", "painted sky+sun", "painted sky+lamp+spot"
+MAPPED = "mapped sky", "mapped lamp"
+PAINTED = *MAPPED, "painted sky+lamp", "painted sky+sun", "painted sky+lamp+spot"
 PAINT, PAINTED_SQUARE = (0.3, 0.7), 4  # two albedos; [nodes]
 NAMES = (*SURFACES, *OTHERS)
 FAR, NEAR = 5, 2  # nodes: what is called wrong, and what right
@@ -170,9 +171,12 @@ def problem(size: int, surface: str, light: str, noise: str) -> tuple[np.ndarray
     return pair(surface, kinds[0], size)[0], images, [source_of(kind, size) for kind in kinds], size
 
 
+def paint(size: int) -> np.ndarray:
+    return np.choose(np.indices((size, size)).sum(0) // PAINTED_SQUARE % 2, PAINT)
+
+
 def painted(size: int, surface: str, kinds: list[str], noise: str) -> tuple[np.ndarray, list, list, int]:
-    albedo = np.choose(np.indices((size, size)).sum(0) // PAINTED_SQUARE % 2, PAINT)
-    images = [pair(surface, kind, size)[1] * albedo / ALBEDO for kind in kinds]
+    images = [pair(surface, kind, size)[1] * paint(size) / ALBEDO for kind in kinds]
     if noise != "0":
         images = [disturbed(image, noise, seed) for seed, image in enumerate(images)]
     return pair(surface, kinds[0], size)[0], images, [source_of(kind, size) for kind in kinds], size
@@ -190,7 +194,7 @@ def recovered(case: tuple[int, str, str, str], backend: str, cache: Path) -> dic
     kept = cache / ("_".join(map(str, case)).replace(" ", "-") + ".npz")
     if not kept.exists():
         truth, images, lights, layers = problem(*case)
-        albedo = None if case[2] in PAINTED else ALBEDO
+        albedo = paint(case[0]) if case[2] in MAPPED else None if case[2] in PAINTED else ALBEDO
         found = sl.recover(
             images, lights, albedo, "dark", layers=layers, backend=backend, interreflection=False
         )

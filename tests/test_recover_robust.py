@@ -547,16 +547,18 @@ LAMPS = [sl.Lamp(at, radius=2, brightness=25) for at in ((-10, 5, -12), (30, 12,
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.03])
-def test_paint_is_no_noise(noise):
+@pytest.mark.parametrize("kinds", [("sky",), ("sky", "lamp")])
+def test_paint_is_no_noise(noise, kinds):
     """Squares of 4 nodes were 10 % of noise, by whose smoothness depth was a node off in clean images."""
     paint, random = np.choose(np.indices((32, 32)).sum(0) // 4 % 2, (0.3, 0.7)), np.random.default_rng(4)
-    images = [pair("bumps", kind)[1] * paint for kind in ("sky", "lamp")]
+    images = [pair("bumps", kind)[1] * paint for kind in kinds]
     images = [image / rms(image) + noise * random.normal(size=image.shape) for image in images]
-    known = [np.ones((32, 32)) for _ in images]
-    assert noise_of_all(images, known, True) > 0.1
-    assert 0.7 * noise <= noise_of_all(images, known, False) < 1.3 * noise + 1e-3
-    known[0][:, :16] = known[1][:, 15:] = 0  # no pixel is known of both
-    assert noise_of_all(images, known, False) == noise_of_all(images, known, True) > 0
+    known, albedo = [np.ones((32, 32)) for _ in images], paint if len(kinds) == 1 else None
+    assert noise_of_all(images, known, 0.5) > 0.1
+    assert 0.7 * noise <= noise_of_all(images, known, albedo) < 1.3 * noise + 1e-3
+    known[0][:, :16] = known[-1][:, 15:] = 0  # no pixel is known of both, or of the one
+    expected = noise_of_all(images, known, 0.5)
+    assert noise_of_all(images, known, albedo) == expected and (expected > 0) == (len(kinds) > 1)
 
 
 @pytest.mark.slow

@@ -89,27 +89,32 @@ def _surrounded(known: np.ndarray) -> np.ndarray:
     return np.asarray(sliding_window_view(known > 0.7, (3, 3)).all((2, 3)))
 
 
-def noise_of_all(images: list[np.ndarray], known: list[np.ndarray], albedo_known: bool) -> float:
-    """RMS over images of the deviation of their noise.
+def noise_of_all(
+    images: list[np.ndarray], known: list[np.ndarray], albedo: float | np.ndarray | None
+) -> float:
+    """RMS over images of the deviation of their noise; albedo None: to be found.
 
-    Where the albedo is not known, paint on the ground may look like noise. It does not change the share q of
-    an image in the mean T of all n, where noise is sqrt((1 - q / n)^2 + (n - 1) (q / n)^2) / T times as
-    large. So the images have no more of it than the shares tell.
+    Paint on the ground may look like noise. It does not change images over the albedo, where noise is
+    1 / albedo times as large; nor, if the albedo is not known, the share q of an image in the mean T of all
+    n, where it is sqrt((1 - q / n)^2 + (n - 1) (q / n)^2) / T times as large. So the images have no more of
+    it than these tell.
     """
     noise, count = _rms_of(map(noise_of, images, known)), len(images)
-    mean: np.ndarray = np.mean(images, axis=0)
-    lit = mean > MODEL_ERROR
-    all_known = np.where(lit, np.min(known, axis=0), 0.0)
-    if albedo_known or count == 1 or min(mean.shape) < 6:
+    is_found = albedo is None
+    paint: np.ndarray = np.mean(images, axis=0) if albedo is None else np.asarray(albedo)
+    if (count == 1 if is_found else np.ptp(paint) == 0) or min(images[0].shape) < 6:
         return noise
+    lit = paint > MODEL_ERROR * float(paint.max())
+    all_known = np.where(lit, np.min(known, axis=0), 0.0)
     if not all(_surrounded(grid).any() for grid in (all_known, halved(all_known))):
         return noise
-    mean, found = np.where(lit, mean, 1.0), []
+    paint, found = np.where(lit, paint, 1.0), []
     for image in images:
-        share = image / mean
-        times = np.sqrt((1 - share / count) ** 2 + (count - 1) * (share / count) ** 2) / mean
+        without = image / paint
+        share = without / count if is_found else np.zeros(paint.shape)
+        times = np.sqrt((1 - share) ** 2 + (count - 1) * share**2) / paint
         if (typical := float(np.median(times[all_known > 0]))) > 0:  # else this image alone has light
-            found.append(noise_of(share, all_known) / typical)
+            found.append(noise_of(without, all_known) / typical)
     return min(noise, _rms_of(found)) if found else noise
 
 
@@ -187,7 +192,7 @@ class Pyramid:
             self.albedo.append(halved(self.albedo[-1]))
         self.coarsest = len(self.images) - 1
         self.start = grid_of_starts([level[0].shape for level in self.images])
-        self.noise = noise_of_all(self.seen[0], self.weights[0], self.albedo_known) if has_noise else 0.0
+        self.noise = noise_of_all(self.seen[0], self.weights[0], albedo) if has_noise else 0.0
         # by number, since a source may hold what cannot be hashed
         self.brightness = functools.cache(lambda number, azimuths: brightness_of(lights[number], azimuths))
         self.problems: dict[int, Descent] = {}
