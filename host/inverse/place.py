@@ -101,7 +101,7 @@ def most_of(group: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def free_place(pyramid: Pyramid, ground: float) -> FreePlace | None:
     """What lights leave open of level ground at the depth ``ground`` [nodes], see :func:`place_by_lights`;
-    None if nothing, and where the walls of a dark box, or the light behind them, tell it.
+    None if nothing, or if walls tell it.
     """
     return None if walls_tell(pyramid) else place_by_lights(pyramid, ground)
 
