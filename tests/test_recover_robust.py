@@ -1508,12 +1508,12 @@ def test_light_between_surfaces_is_told_from_direct_light(fast):
     """Pits, albedo 0.8: an image with light between surfaces and one without give the same depth, each by its
     own model, and direct light alone is wrong by layers in the first.
     """
-    size = 32
+    size = 24
     depth = surfaces.pair("pits", "sky", size)[0]
     scene = sl.Scene(depth, albedo=ALBEDO, sides="dark")
     out = sl.render(scene, sl.Sky(), "horizon", azimuths=64, interreflection=True, parts=True, backend=fast)
     ask = functools.partial(
-        sl.recover, source=sl.Sky(), albedo=ALBEDO, sides="dark", layers=SMALL, backend=fast
+        sl.recover, source=sl.Sky(), albedo=ALBEDO, sides="dark", layers=size, backend=fast
     )
     both, alone = ask(out.image), ask(out.image, interreflection=False)
     assert both.interreflection and not alone.interreflection
@@ -1746,11 +1746,11 @@ class AlikeInAnArray:
 @pytest.mark.parametrize("interreflection", [False, True])
 def test_doubt_of_relief_does_not_depend_on_the_time(fast, interreflection):
     """Under an even sky without walls, where a search that was cut told a tenth of its std."""
-    y, x = np.mgrid[:24, :24] * (2 * np.pi / 24)
-    depth = 12 + 4 * np.sin(x) * np.sin(1.3 * y + 1) - 2 * np.cos(2 * x + y)
+    y, x = np.mgrid[:16, :16] * (2 * np.pi / 16)
+    depth = 8 + 2.7 * np.sin(x) * np.sin(1.3 * y + 1) - 1.3 * np.cos(2 * x + y)
     image = sl.render(sl.Scene(depth, albedo=0.5), sl.Sky(), interreflection=False, backend=fast).image
     ask = functools.partial(
-        sl.recover, image, sl.Sky(), 0.5, layers=24, backend=fast, interreflection=interreflection
+        sl.recover, image, sl.Sky(), 0.5, layers=16, backend=fast, interreflection=interreflection
     )
     for seconds in (0.05, 0.3, None):
         got = ask(max_seconds=seconds)
