@@ -172,6 +172,7 @@ def problem(size: int, surface: str, light: str, noise: str) -> tuple[np.ndarray
 
 
 def paint(size: int) -> np.ndarray:
+    """Albedo of squares."""
     return np.choose(np.indices((size, size)).sum(0) // PAINTED_SQUARE % 2, PAINT)
 
 

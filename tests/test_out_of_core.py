@@ -307,7 +307,8 @@ def test_workers_that_do_not_compute_are_said(machines, monkeypatch, capsys):
     monkeypatch.setattr(out_of_core, "WAIT", 0.1)
     with distributed.Client(machines.scheduler) as client:
         for status, times in (("running", 0), ("paused", 1)):
-            monkeypatch.setattr(client, "scheduler_info", lambda **_: {"workers": {"a": {"status": status}}})  # noqa: B023
+            told = {"workers": {"a": {"status": status}}}
+            monkeypatch.setattr(client, "scheduler_info", lambda told=told, **_: told)
             futures = [client.submit(time.sleep, 0.6, pure=False)]
             assert list(out_of_core._finished(client, futures)) == futures
             assert capsys.readouterr().err.count("Waiting: none of 1 workers computes") == times

@@ -100,9 +100,8 @@ def noise_of_all(
     it than these tell.
     """
     noise, count = _rms_of(map(noise_of, images, known)), len(images)
-    is_found = albedo is None
     paint: np.ndarray = np.mean(images, axis=0) if albedo is None else np.asarray(albedo)
-    if (count == 1 if is_found else np.ptp(paint) == 0) or min(images[0].shape) < 6:
+    if noise == 0 or np.ptp(paint) == 0:
         return noise
     lit = paint > MODEL_ERROR * float(paint.max())
     all_known = np.where(lit, np.min(known, axis=0), 0.0)
@@ -110,9 +109,10 @@ def noise_of_all(
         return noise
     paint, found = np.where(lit, paint, 1.0), []
     for image in images:
-        without = image / paint
-        share = without / count if is_found else np.zeros(paint.shape)
-        times = np.sqrt((1 - share) ** 2 + (count - 1) * share**2) / paint
+        without, times = image / paint, 1 / paint
+        if albedo is None:
+            share = without / count
+            times = times * np.sqrt((1 - share) ** 2 + (count - 1) * share**2)
         if (typical := float(np.median(times[all_known > 0]))) > 0:  # else this image alone has light
             found.append(noise_of(without, all_known) / typical)
     return min(noise, _rms_of(found)) if found else noise
